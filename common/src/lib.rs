@@ -1,0 +1,1 @@
+//! Plumbline: ids, score rows, messages, queues, configuration.

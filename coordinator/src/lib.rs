@@ -1,0 +1,1 @@
+//! Plumbline: the coordinator library.

@@ -1,0 +1,1 @@
+//! Plumbline: renders clips with exact flow, depth and pose, and known faults.

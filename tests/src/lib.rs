@@ -1,0 +1,1 @@
+//! Plumbline: end-to-end tests over the built commands.

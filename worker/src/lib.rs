@@ -1,0 +1,1 @@
+//! Plumbline: one video in, one measured row out, in a limited child process.

@@ -1,0 +1,7 @@
+//! Plumbline's numerics: frames, optical flow, end-point errors, signals and motion models.
+//!
+//! Pure: slices and structs in, values out. No queue, store, clock or runtime is known here.
+
+pub mod flow;
+pub mod image;
+pub mod scene;
