@@ -1,1 +1,7 @@
-//! Plumbline: ids, score rows, messages, queues, configuration.
+//! What every Plumbline process shares: ids, score rows, messages, frames, telemetry.
+
+pub mod frame;
+pub mod id;
+pub mod message;
+pub mod row;
+pub mod telemetry;

@@ -1,1 +1,13 @@
-//! Plumbline: the coordinator library.
+//! Plumbline's coordinator: freezes a corpus, hands out jobs, collects rows, reduces, publishes.
+
+pub mod cli;
+pub mod collect;
+pub mod corpus;
+pub mod fanout;
+pub mod progress;
+pub mod publish;
+pub mod reduce;
+pub mod report;
+pub mod run;
+pub mod sample;
+pub mod settings;

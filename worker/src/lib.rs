@@ -1,1 +1,7 @@
 //! Plumbline: one video in, one measured row out, in a limited child process.
+
+pub mod child;
+pub mod decode;
+pub mod encode;
+pub mod measure;
+pub mod profile;

@@ -1,2 +1,5 @@
 //! The `plumbline` command.
-fn main() {}
+
+fn main() -> std::process::ExitCode {
+    plumbline_coordinator::cli::main()
+}

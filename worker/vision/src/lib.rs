@@ -2,6 +2,8 @@
 //!
 //! Pure: slices and structs in, values out. No queue, store, clock or runtime is known here.
 
+pub mod consistency;
 pub mod flow;
 pub mod image;
 pub mod scene;
+pub mod signals;

@@ -1,0 +1,249 @@
+//! The score row: what is said of one video, first by a worker alone ([`Measurement`]), then in the
+//! light of the whole corpus ([`Row`]).
+//!
+//! Units: pixel errors are in pixels of a 256-px-high picture (`_px`), times in seconds (`_s`).
+//! A missing value is `None` (null), never 0, −1 or NaN.
+
+use serde::{Deserialize, Serialize};
+
+use crate::id::VideoId;
+
+/// What became of one video.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// Measured; takes part in the corpus statistics.
+    Scored,
+    /// Too little motion to judge: insufficient evidence, never "perfect".
+    Static,
+    /// Correspondences vanish on some frame.
+    Collapsed,
+    /// Fewer frames than a measure needs.
+    TooShort,
+    /// Larger, longer or heavier than the profile's limits allow.
+    OverLimit,
+    /// No complete video could be decoded from the bytes.
+    Undecodable,
+    /// The measurement itself failed (crash, deadline, memory, unreadable file).
+    Failed,
+}
+
+impl Status {
+    /// All statuses, in the order in which reports list them.
+    pub const ALL: [Self; 7] = [
+        Self::Scored,
+        Self::Static,
+        Self::Collapsed,
+        Self::TooShort,
+        Self::OverLimit,
+        Self::Undecodable,
+        Self::Failed,
+    ];
+
+    /// The name used in every output.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Scored => "scored",
+            Self::Static => "static",
+            Self::Collapsed => "collapsed",
+            Self::TooShort => "too_short",
+            Self::OverLimit => "over_limit",
+            Self::Undecodable => "undecodable",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// The camera and scene class that the clip's flow requires.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Scene {
+    /// The camera stands still.
+    StaticCamera,
+    /// One homography explains the background: a rotating camera, or a plane.
+    Rotation,
+    /// A moving camera before a scene with depth.
+    Parallax,
+}
+
+/// How `reproj_px` was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GeometryMethod {
+    /// Per-edge model selection by GRIC; under parallax each edge has its own free depth, so the
+    /// value is a lower bound of what a bundle adjustment with shared depth leaves.
+    TwoViewGric,
+}
+
+/// What to do with a video.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Decision {
+    /// Goes into the filtered corpus.
+    Keep,
+    /// Left out of it.
+    Drop,
+    /// No score to decide by: a person looks.
+    Review,
+}
+
+/// The measures per adjacent frame pair; entry `k` belongs to the pair whose later frame is
+/// `first_frame + k`. Kept for the interval, the explanation and the report.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Series {
+    /// Index of the later frame of the first pair (0-based, input frames).
+    pub first_frame: u32,
+    /// Corrected end-point error, mean over in-frame pixels.
+    pub aepe_px: Vec<Option<f64>>,
+    /// WorldScore's end-point error.
+    pub aepe_worldscore_px: Vec<Option<f64>>,
+    /// Mean residual of the edges whose later frame is this one (the paper's e_t).
+    pub reproj_px: Vec<Option<f64>>,
+    /// Valid cells behind `reproj_px`: the weight of the frame in the clip's mean.
+    pub reproj_cells: Vec<u32>,
+    /// P: piecewise-affine residual of moving pixels, relative to their motion.
+    pub piecewise_residual: Vec<Option<f64>>,
+    /// T: appearance residual of moving over all pixels.
+    pub appearance_ratio: Vec<Option<f64>>,
+    /// Mean |flow|.
+    pub motion_px: Vec<Option<f64>>,
+}
+
+/// What one worker says of one video, whatever else is in the corpus.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Measurement {
+    /// What became of it.
+    pub status: Status,
+    /// One sentence: why it is not `scored`, and the remedy.
+    pub status_reason: Option<String>,
+    /// BLAKE3 of the bytes, hex.
+    pub digest: Option<String>,
+    /// Size of the object.
+    pub bytes: Option<u64>,
+    /// Frames decoded.
+    pub frames: Option<u32>,
+    /// Frames per second by presentation times.
+    pub fps: Option<f64>,
+    /// Columns of the original picture.
+    pub width: Option<u32>,
+    /// Rows of the original picture.
+    pub height: Option<u32>,
+    /// Length by presentation times.
+    pub duration_s: Option<f64>,
+    /// What the camera did.
+    pub scene: Option<Scene>,
+    /// Mean |flow|: stands beside every score, since errors follow motion.
+    pub motion_px: Option<f64>,
+    /// s_3: mean residual of the best rigid camera and scene.
+    pub reproj_px: Option<f64>,
+    /// How `reproj_px` was found.
+    pub reproj_method: Option<GeometryMethod>,
+    /// Forward/backward end-point error, corrected.
+    pub aepe_px: Option<f64>,
+    /// s_p: forward/backward end-point error exactly as WorldScore computes it.
+    pub aepe_worldscore_px: Option<f64>,
+    /// Share of in-frame pixels whose forward and backward flow disagree.
+    pub occluded_fraction: Option<f64>,
+    /// P, clip median.
+    pub piecewise_residual: Option<f64>,
+    /// T, clip median.
+    pub appearance_ratio: Option<f64>,
+    /// Mean of e_t.
+    pub mean_error: Option<f64>,
+    /// Largest |e_t − e_{t−1}|.
+    pub max_jump: Option<f64>,
+    /// t*: the frame of the largest jump after the warm-up.
+    pub paper_peak_frame: Option<u32>,
+    /// Whether that jump stands out of the series.
+    pub peak_reliable: Option<bool>,
+    /// The series behind the means.
+    pub series: Series,
+}
+
+impl Measurement {
+    /// A measurement that says only why there is none.
+    #[must_use]
+    pub fn without_score(status: Status, reason: impl Into<String>) -> Self {
+        Self {
+            status,
+            status_reason: Some(reason.into()),
+            digest: None,
+            bytes: None,
+            frames: None,
+            fps: None,
+            width: None,
+            height: None,
+            duration_s: None,
+            scene: None,
+            motion_px: None,
+            reproj_px: None,
+            reproj_method: None,
+            aepe_px: None,
+            aepe_worldscore_px: None,
+            occluded_fraction: None,
+            piecewise_residual: None,
+            appearance_ratio: None,
+            mean_error: None,
+            max_jump: None,
+            paper_peak_frame: None,
+            peak_reliable: None,
+            series: Series::default(),
+        }
+    }
+}
+
+/// What a measurement cost; kept apart from the row, since it differs from run to run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Cost {
+    /// Wall time of the whole measurement.
+    pub total_s: f64,
+    /// Reading and decoding.
+    pub decode_s: f64,
+    /// Optical flow, both directions.
+    pub flow_s: f64,
+    /// End-point errors and signals.
+    pub signals_s: f64,
+    /// Motion models.
+    pub geometry_s: f64,
+}
+
+/// The published row: one per input video, in the order of `video`. The field order is the column
+/// order of `scores.*`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Path below SOURCE, or key.
+    pub video: VideoId,
+    /// Value of `--group-by`.
+    pub group: Option<String>,
+    /// Columns carried through from a list, by name.
+    pub carried: serde_json::Map<String, serde_json::Value>,
+    /// The worker's part.
+    pub measured: Measurement,
+    /// z-score of `reproj_px` in the corpus.
+    pub z_reproj_px: Option<f64>,
+    /// z-score of `aepe_worldscore_px` in the corpus.
+    pub z_aepe_worldscore_px: Option<f64>,
+    /// Robust z of P, clipped to [−3, 6].
+    pub z_piecewise_residual: Option<f64>,
+    /// Robust z of T, clipped to [−3, 6].
+    pub z_appearance_ratio: Option<f64>,
+    /// S_r: the relative anomaly score of the chosen recipe; lower is better.
+    pub anomaly: Option<f64>,
+    /// Lower end of its 90% interval (block bootstrap over frame pairs).
+    pub anomaly_lo: Option<f64>,
+    /// Upper end of it.
+    pub anomaly_hi: Option<f64>,
+    /// 1 is the most consistent of the corpus; ties are broken by video id.
+    pub rank: Option<u64>,
+    /// (rank − 0.5) / n in percent.
+    pub percentile: Option<f64>,
+    /// Keep, drop or review.
+    pub decision: Decision,
+    /// −S_r.
+    pub reward: Option<f64>,
+    /// Which signals were combined.
+    pub recipe: String,
+    /// Digest of the profile that measured it.
+    pub profile_digest: String,
+}

@@ -1,0 +1,93 @@
+//! The command line: what was typed, made usable, handed to the library; results to exit codes.
+
+mod sample;
+mod score;
+mod summary;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Exit codes of every command (design, section 3).
+pub mod exit {
+    /// Finished; every row is scored or static.
+    pub const OK: u8 = 0;
+    /// Stopped before the end; run again to resume.
+    pub const STOPPED: u8 = 1;
+    /// Usage, configuration or empty input.
+    pub const USAGE: u8 = 2;
+    /// Finished, but some rows have no score.
+    pub const INCOMPLETE: u8 = 3;
+    /// Interrupted; resumable.
+    pub const INTERRUPTED: u8 = 130;
+}
+
+/// Tells which generated videos break physics, without any reference.
+#[derive(Debug, Parser)]
+#[command(name = "plumbline", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Logs on standard error: a level or a tracing filter such as plumbline_worker=debug
+    #[arg(long, global = true, default_value = "error", value_name = "FILTER")]
+    log: String,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Score(Box<score::ScoreArgs>),
+    Sample(sample::SampleArgs),
+    /// Measures videos for a parent process (internal)
+    #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
+    ComputeChild {
+        #[arg(long)]
+        memory_mib: u64,
+    },
+}
+
+/// Parses the command line and runs it. Errors are one line on standard error.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    plumbline_common::telemetry::init(&cli.log);
+    let outcome = match cli.command {
+        Command::Score(args) => score::run(*args),
+        Command::Sample(args) => sample::run(&args),
+        Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
+            .map(|()| exit::OK)
+            .map_err(|error| Failure {
+                code: exit::STOPPED,
+                message: format!("{error:#}"),
+            }),
+    };
+    match outcome {
+        Ok(code) => ExitCode::from(code),
+        Err(failure) => {
+            crate::progress::say(&format!("plumbline: {}", failure.message));
+            ExitCode::from(failure.code)
+        }
+    }
+}
+
+/// How a command fails: the code and the line that says why.
+#[derive(Debug)]
+struct Failure {
+    code: u8,
+    message: String,
+}
+
+impl Failure {
+    fn usage(error: impl std::fmt::Display) -> Self {
+        Self {
+            code: exit::USAGE,
+            message: error.to_string(),
+        }
+    }
+
+    fn stopped(error: impl std::fmt::Display) -> Self {
+        Self {
+            code: exit::STOPPED,
+            message: error.to_string(),
+        }
+    }
+}

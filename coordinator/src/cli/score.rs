@@ -1,0 +1,184 @@
+//! `plumbline score`: from what was typed to a run, and from a run to an exit code.
+
+use std::io::Write;
+use std::num::NonZeroU16;
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use plumbline_worker::profile::{Profile, Rung};
+
+use super::{Failure, exit, summary};
+use crate::corpus::GroupBy;
+use crate::fanout::Slots;
+use crate::publish::Format;
+use crate::reduce::ReduceOptions;
+use crate::reduce::outcome::{Range, Recipe};
+use crate::reduce::select::KeepRule;
+use crate::run::{self, RunError, ScoreOptions};
+use crate::settings::Settings;
+
+/// Scores every video of a source: scores, manifests, rewards and a report
+#[derive(Debug, Args)]
+pub(super) struct ScoreArgs {
+    /// Videos, directories (recursive), globs, or lists (.txt, .csv, .jsonl, .parquet with a column `video`)
+    #[arg(required = true, value_name = "SOURCE")]
+    sources: Vec<String>,
+    /// Directory for the results; a run that was stopped resumes from it
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Rung of the speed/accuracy ladder
+    #[arg(long, value_enum, default_value = "standard")]
+    profile: RungArg,
+    /// Signals combined into the anomaly score
+    #[arg(long, value_enum, default_value = "balanced")]
+    recipe: Recipe,
+    /// Groups: a list's COLUMN, path:N (N-th directory below SOURCE) or prefix:SEP (file name before SEP)
+    #[arg(long, value_name = "RULE")]
+    group_by: Option<GroupBy>,
+    /// Which scored videos to keep, per group: a number N, a share P%, or s<=X
+    #[arg(long, value_name = "RULE", default_value = "80%")]
+    keep: KeepRule,
+    /// Videos measured at once [default: one per core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Formats of scores, costs and rewards
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "jsonl,parquet,csv")]
+    format: Vec<FormatArg>,
+    /// Measure everything again, whatever --out already holds
+    #[arg(long, overrides_with = "resume")]
+    no_resume: bool,
+    /// Take over what an earlier run into --out has measured (the default)
+    #[arg(long)]
+    resume: bool,
+    /// Leading frames left out of every statistic (frame 0 of a rollout is often a real picture)
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    conditioning_frames: u32,
+    /// Frames up to this index cannot be the paper's peak frame t*
+    #[arg(long, value_name = "T", default_value_t = 7)]
+    warmup: u32,
+    /// Frames per second of directories of numbered images
+    #[arg(long, value_name = "FPS", default_value_t = 10.0)]
+    sequence_fps: f64,
+    /// Histogram bins behind the entropy weights
+    #[arg(long, value_name = "N", default_value = "30")]
+    bins: NonZeroU16,
+    /// Histogram range behind the entropy weights
+    #[arg(long, value_enum, default_value = "full")]
+    range: Range,
+    /// Wall time for one video, seconds
+    #[arg(long, value_name = "SECONDS")]
+    deadline: Option<f64>,
+    /// Memory of one compute process, MiB
+    #[arg(long, value_name = "MIB")]
+    memory: Option<u64>,
+    /// Print the summary as JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum RungArg {
+    /// 128 px, coarse flow: triage
+    Draft,
+    /// 256 px: overnight
+    Standard,
+    /// 512 px, finest flow: decisions
+    Accurate,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum FormatArg {
+    Jsonl,
+    Parquet,
+    Csv,
+}
+
+impl From<FormatArg> for Format {
+    fn from(format: FormatArg) -> Self {
+        match format {
+            FormatArg::Jsonl => Self::Jsonl,
+            FormatArg::Parquet => Self::Parquet,
+            FormatArg::Csv => Self::Csv,
+        }
+    }
+}
+
+pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
+    let json = args.json;
+    let options = args.into_options()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(Failure::stopped)?;
+    let finished = runtime.block_on(run::score(&options));
+    // Children are ended by dropping their handles, which needs the runtime no longer.
+    runtime.shutdown_background();
+    match finished {
+        Ok(finished) => {
+            summary::table(&finished);
+            if json {
+                let text = serde_json::to_string_pretty(&summary::json(&finished)).map_err(Failure::stopped)?;
+                writeln!(std::io::stdout(), "{text}").map_err(Failure::stopped)?;
+            }
+            Ok(if finished.complete() { exit::OK } else { exit::INCOMPLETE })
+        }
+        Err(error) => Err(Failure {
+            code: match &error {
+                RunError::Interrupted { .. } => exit::INTERRUPTED,
+                RunError::Corpus(_) | RunError::OutInUse { .. } | RunError::Profile(_) => exit::USAGE,
+                _ => exit::STOPPED,
+            },
+            message: error.to_string(),
+        }),
+    }
+}
+
+impl ScoreArgs {
+    /// From what was typed to what is usable.
+    fn into_options(self) -> Result<ScoreOptions, Failure> {
+        let mut settings = Settings::load().map_err(Failure::usage)?;
+        if let Some(deadline_s) = self.deadline {
+            settings.compute.deadline_s = deadline_s;
+        }
+        if let Some(memory_mib) = self.memory {
+            settings.compute.memory_mib = memory_mib;
+        }
+        settings.validate().map_err(Failure::usage)?;
+        if !(self.sequence_fps.is_finite() && self.sequence_fps > 0.0) {
+            return Err(Failure::usage("--sequence-fps must be above 0"));
+        }
+        let mut profile = Profile::new(match self.profile {
+            RungArg::Draft => Rung::Draft,
+            RungArg::Standard => Rung::Standard,
+            RungArg::Accurate => Rung::Accurate,
+        });
+        profile.conditioning_frames = self.conditioning_frames;
+        profile.warmup_frames = self.warmup;
+        profile.sequence_fps = self.sequence_fps;
+        profile.limits = settings.decode;
+        let profile_digest = profile.digest().map_err(Failure::usage)?;
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Ok(ScoreOptions {
+            sources: self.sources,
+            out: self.out,
+            group_by: self.group_by,
+            profile,
+            reduce: ReduceOptions {
+                recipe: self.recipe,
+                bins: self.bins,
+                range: self.range,
+                keep: self.keep,
+                profile_digest,
+                normalise_within_group: false,
+            },
+            resume: !self.no_resume,
+            formats: self.format.into_iter().map(Format::from).collect(),
+            slots: Slots {
+                program: std::env::current_exe().map_err(Failure::stopped)?,
+                count: self.jobs.map_or(cores, usize::from),
+                limits: settings.compute,
+            },
+        })
+    }
+}

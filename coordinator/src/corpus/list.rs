@@ -1,0 +1,179 @@
+//! Lists of videos: `.txt` (a path a line), `.csv`, `.jsonl` and `.parquet` (column `video`, other
+//! columns carried through). Relative paths are relative to the list's own directory.
+
+use std::fs::File;
+use std::path::Path;
+
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use serde_json::{Map, Value};
+
+use super::CorpusError;
+
+/// The column that names the video.
+const VIDEO_COLUMN: &str = "video";
+
+/// One line of a list.
+#[derive(Debug, PartialEq)]
+pub(super) struct Line {
+    /// The video as written.
+    pub(super) video: String,
+    /// The other columns, in their order.
+    pub(super) carried: Map<String, Value>,
+}
+
+/// Whether a path's extension says that it is a list.
+pub(super) fn is_list(path: &Path) -> bool {
+    matches!(extension(path).as_deref(), Some("txt" | "csv" | "jsonl" | "parquet"))
+}
+
+/// Reads a list, in its order.
+///
+/// # Errors
+/// [`CorpusError::List`] naming file, line and remedy.
+pub(super) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
+    let lines = match extension(path).as_deref() {
+        Some("csv") => read_csv(path),
+        Some("jsonl") => read_text(path).and_then(|text| parse_jsonl(&text)),
+        Some("parquet") => read_parquet(path),
+        _ => read_text(path).map(|text| parse_txt(&text)),
+    };
+    lines.map_err(|reason| CorpusError::List {
+        path: path.display().to_string(),
+        reason,
+    })
+}
+
+fn extension(path: &Path) -> Option<String> {
+    Some(path.extension()?.to_str()?.to_ascii_lowercase())
+}
+
+fn read_text(path: &Path) -> Result<String, String> {
+    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    String::from_utf8(bytes).map_err(|_| "is not UTF-8 text: save it as UTF-8".to_owned())
+}
+
+fn parse_txt(text: &str) -> Vec<Line> {
+    text.lines()
+        .map(|line| line.trim_end_matches('\r'))
+        .filter(|line| !line.trim().is_empty())
+        .map(|line| Line {
+            video: line.to_owned(),
+            carried: Map::new(),
+        })
+        .collect()
+}
+
+fn parse_jsonl(text: &str) -> Result<Vec<Line>, String> {
+    let numbered = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    numbered
+        .map(|(index, line)| {
+            let at = format!("line {}", index + 1);
+            let row: Map<String, Value> = serde_json::from_str(line)
+                .map_err(|error| format!("{at} is not a JSON object ({error})"))?;
+            split_row(row, &at)
+        })
+        .collect()
+}
+
+fn read_csv(path: &Path) -> Result<Vec<Line>, String> {
+    let mut reader = csv::Reader::from_path(path).map_err(|error| error.to_string())?;
+    let header = reader.headers().map_err(|error| error.to_string())?.clone();
+    reader
+        .records()
+        .enumerate()
+        .map(|(index, record)| {
+            let record = record.map_err(|error| error.to_string())?;
+            let cells = record.iter().map(|cell| match cell {
+                "" => Value::Null,
+                text => Value::String(text.to_owned()),
+            });
+            let row = header.iter().map(str::to_owned).zip(cells).collect();
+            split_row(row, &format!("row {}", index + 1))
+        })
+        .collect()
+}
+
+/// Through Arrow's own JSON writer, so that every column type becomes the JSON value users expect.
+fn read_parquet(path: &Path) -> Result<Vec<Line>, String> {
+    let file = File::open(path).map_err(|error| error.to_string())?;
+    let reader = ParquetRecordBatchReaderBuilder::try_new(file)
+        .and_then(|builder| builder.build())
+        .map_err(|error| error.to_string())?;
+    let mut json = Vec::new();
+    let mut writer = arrow_json::WriterBuilder::new()
+        .with_explicit_nulls(true)
+        .build::<_, arrow_json::writer::LineDelimited>(&mut json);
+    for batch in reader {
+        let batch = batch.map_err(|error| error.to_string())?;
+        writer.write(&batch).map_err(|error| error.to_string())?;
+    }
+    writer.finish().map_err(|error| error.to_string())?;
+    drop(writer);
+    parse_jsonl(&String::from_utf8_lossy(&json))
+}
+
+fn split_row(mut row: Map<String, Value>, at: &str) -> Result<Line, String> {
+    match row.shift_remove(VIDEO_COLUMN) {
+        Some(Value::String(video)) if !video.is_empty() => Ok(Line { video, carried: row }),
+        Some(_) => Err(format!("{at}: the column `{VIDEO_COLUMN}` must hold a path")),
+        None => Err(format!(
+            "{at}: there is no column `{VIDEO_COLUMN}`; name the column of paths so (found {})",
+            row.keys().cloned().collect::<Vec<_>>().join(", ")
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read_named(name: &str, content: &[u8]) -> Result<Vec<Line>, CorpusError> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        read(&path)
+    }
+
+    #[test]
+    fn txt_keeps_spaces_and_drops_blank_lines() {
+        let lines = read_named("l.txt", b"a b.mp4\r\n\n -x.mp4\n").unwrap();
+        let videos: Vec<_> = lines.iter().map(|line| line.video.as_str()).collect();
+        assert_eq!(videos, ["a b.mp4", " -x.mp4"]);
+    }
+
+    #[test]
+    fn csv_and_jsonl_carry_columns_in_order() {
+        let csv = read_named("l.csv", b"task,video,seed\npick,\"a,b.mp4\",3\n,c.mp4,\n").unwrap();
+        assert_eq!(csv[0].video, "a,b.mp4");
+        assert_eq!(serde_json::to_string(&csv[0].carried).unwrap(), r#"{"task":"pick","seed":"3"}"#);
+        assert_eq!(csv[1].carried["task"], Value::Null);
+        let jsonl = read_named("l.jsonl", b"{\"z\":1,\"video\":\"a.mp4\",\"a\":true}\n").unwrap();
+        assert_eq!(serde_json::to_string(&jsonl[0].carried).unwrap(), r#"{"z":1,"a":true}"#);
+    }
+
+    #[test]
+    fn parquet_carries_columns() {
+        use arrow_array::{ArrayRef, Int64Array, RecordBatch, StringArray};
+        let columns: [(&str, ArrayRef); 2] = [
+            ("video", std::sync::Arc::new(StringArray::from(vec!["a.mp4"]))),
+            ("seed", std::sync::Arc::new(Int64Array::from(vec![Some(7)]))),
+        ];
+        let batch = RecordBatch::try_from_iter(columns).unwrap();
+        let mut bytes = Vec::new();
+        let mut writer = parquet::arrow::ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
+        writer.write(&batch).unwrap();
+        writer.close().unwrap();
+        let lines = read_named("l.parquet", &bytes).unwrap();
+        assert_eq!((lines[0].video.as_str(), &lines[0].carried["seed"]), ("a.mp4", &Value::from(7)));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let no_column = read_named("l.csv", b"path,x\na,1\n").unwrap_err().to_string();
+        assert!(no_column.contains("l.csv") && no_column.contains("found path, x"), "{no_column}");
+        let bad_line = read_named("l.jsonl", b"{\"video\":\"a\"}\n[1]\n").unwrap_err().to_string();
+        assert!(bad_line.contains("line 2"), "{bad_line}");
+        assert!(read_named("l.parquet", b"not parquet").is_err());
+        assert!(read_named("l.txt", b"\xff\xfe").unwrap_err().to_string().contains("UTF-8"));
+    }
+}

@@ -1,0 +1,118 @@
+//! The frozen corpus: every input video of a run, once, with its name, place, size and time.
+//!
+//! A source is a video, a directory (recursive), a glob or a list. Listing opens no video: what is
+//! wrong with one becomes its row, not an error of the run. What makes the *list* wrong (no such
+//! source, an unreadable directory, a duplicate name, an unknown column) is an error before any work.
+
+mod group;
+mod list;
+mod source;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use plumbline_common::id::VideoId;
+use plumbline_common::message::Location;
+use serde::{Deserialize, Serialize};
+
+pub use group::GroupBy;
+pub use source::{Listing, freeze};
+
+/// One input video as it was when the corpus was frozen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Its unique name in the run.
+    pub video: VideoId,
+    /// Where its bytes are.
+    pub location: Location,
+    /// Size in bytes (of all images, for a sequence); `None` where it could not be read.
+    pub bytes: Option<u64>,
+    /// Modification time, nanoseconds since the epoch (the latest, for a sequence).
+    pub modified_ns: Option<i128>,
+    /// Why its size could not be read, where it could not.
+    pub problem: Option<String>,
+    /// The value of `--group-by`.
+    pub group: Option<String>,
+    /// Columns carried through from a list.
+    pub carried: serde_json::Map<String, serde_json::Value>,
+}
+
+impl Entry {
+    /// The path of its bytes.
+    #[must_use]
+    pub fn path(&self) -> PathBuf {
+        use std::os::unix::ffi::OsStringExt;
+        let (Location::File(bytes) | Location::ImageSequence(bytes)) = &self.location;
+        PathBuf::from(std::ffi::OsString::from_vec(bytes.clone()))
+    }
+}
+
+/// Why there is no corpus. Each text names the thing and the remedy.
+#[derive(Debug, thiserror::Error)]
+pub enum CorpusError {
+    /// The source does not exist.
+    #[error("{source_text}: no such file or directory")]
+    NoSuchSource {
+        /// As typed.
+        source_text: String,
+    },
+    /// An object store, which this command cannot read.
+    #[error("{source_text}: object stores are read by the fleet, which this build does not contain; copy the videos to a directory")]
+    ObjectStore {
+        /// As typed.
+        source_text: String,
+    },
+    /// Nothing to score.
+    #[error("{sources}: no video found (looked for {extensions}, and directories of numbered images)")]
+    Empty {
+        /// All sources as typed.
+        sources: String,
+        /// The extensions looked for.
+        extensions: String,
+    },
+    /// A directory cannot be listed.
+    #[error("{path}: cannot be listed ({source}); mend its permissions or leave it out")]
+    Unlistable {
+        /// The directory.
+        path: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A glob does not parse.
+    #[error("{pattern}: not a valid glob ({reason})")]
+    Glob {
+        /// As typed.
+        pattern: String,
+        /// Why.
+        reason: String,
+    },
+    /// A list does not read.
+    #[error("{path}: {reason}")]
+    List {
+        /// The list file.
+        path: String,
+        /// Where and why, with the remedy.
+        reason: String,
+    },
+    /// Two different files would have the same name.
+    #[error("{video}: named twice in the corpus ({first} and {second}); give the sources apart")]
+    Duplicate {
+        /// The name.
+        video: String,
+        /// One file.
+        first: String,
+        /// The other.
+        second: String,
+    },
+    /// `--group-by` names no column.
+    #[error("--group-by {column}: no such column; the list has {known}")]
+    UnknownColumn {
+        /// As typed.
+        column: String,
+        /// What there is.
+        known: String,
+    },
+}
+
+/// What was passed over while walking directories, by extension ("" for none).
+pub type Ignored = BTreeMap<String, u64>;

@@ -1,0 +1,36 @@
+//! `costs.*`: what each measurement cost. Differs from run to run, hence apart from the scores.
+//! Times are wall seconds.
+
+use plumbline_common::id::VideoId;
+use plumbline_common::row::Cost;
+
+use crate::publish::table::Column;
+use crate::publish::table::Kind::{Float64, Text, UInt32};
+
+/// What one video's measurement cost.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CostRow {
+    /// The video.
+    pub video: VideoId,
+    /// Seconds per stage.
+    pub cost: Cost,
+    /// Deliveries until the result, at least 1.
+    pub attempts: u32,
+    /// Who measured it.
+    pub worker: String,
+}
+
+/// The columns of `costs.*`.
+#[must_use]
+pub fn cost_columns() -> Vec<Column<CostRow>> {
+    vec![
+        Column::field("video", Text, |r| r.video.as_str().into()),
+        Column::field("total_s", Float64, |r| r.cost.total_s.into()),
+        Column::field("decode_s", Float64, |r| r.cost.decode_s.into()),
+        Column::field("flow_s", Float64, |r| r.cost.flow_s.into()),
+        Column::field("signals_s", Float64, |r| r.cost.signals_s.into()),
+        Column::field("geometry_s", Float64, |r| r.cost.geometry_s.into()),
+        Column::field("attempts", UInt32, |r| r.attempts.into()),
+        Column::field("worker", Text, |r| r.worker.as_str().into()),
+    ]
+}

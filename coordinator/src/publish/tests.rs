@@ -1,0 +1,497 @@
+//! The published files as their readers see them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::Write;
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float64Type, Int64Type, UInt32Type, UInt64Type};
+use arrow_array::{Array, ArrayRef};
+use arrow_schema::DataType;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use plumbline_common::id::VideoId;
+use plumbline_common::row::{
+    Cost, Decision, GeometryMethod, Measurement, Row, Scene, Series, Status,
+};
+use serde_json::{Map, Value, json};
+
+use super::encode::{Format, to_bytes};
+use super::scores::score_columns;
+use super::*;
+use crate::reduce::outcome::{CorpusStatistics, Population, Range, Recipe};
+
+fn row(video: &str, carried: Value) -> Row {
+    let Value::Object(carried) = carried else {
+        panic!("carried columns are an object");
+    };
+    Row {
+        video: VideoId::new(video).unwrap(),
+        group: None,
+        carried,
+        measured: Measurement::without_score(Status::Failed, "the child ran out of memory"),
+        z_reproj_px: None,
+        z_aepe_worldscore_px: None,
+        z_piecewise_residual: None,
+        z_appearance_ratio: None,
+        anomaly: None,
+        anomaly_lo: None,
+        anomaly_hi: None,
+        rank: None,
+        percentile: None,
+        decision: Decision::Review,
+        reward: None,
+        recipe: "paper".to_owned(),
+        profile_digest: "d1ge57".to_owned(),
+    }
+}
+
+/// Every field set, with values that a careless writer breaks.
+fn full_row(video: &str, carried: Value) -> Row {
+    Row {
+        group: Some("kitchen, \"left\"".to_owned()),
+        measured: Measurement {
+            status: Status::Scored,
+            status_reason: None,
+            digest: Some("ab".repeat(32)),
+            bytes: Some(u64::MAX),
+            frames: Some(u32::MAX),
+            fps: Some(29.97),
+            width: Some(640),
+            height: Some(480),
+            duration_s: Some(0.1 + 0.2),
+            scene: Some(Scene::Parallax),
+            motion_px: Some(f64::MIN_POSITIVE / 2.0),
+            reproj_px: Some(1e300),
+            reproj_method: Some(GeometryMethod::TwoViewGric),
+            aepe_px: Some(-0.0),
+            aepe_worldscore_px: Some(1.0),
+            occluded_fraction: Some(0.0),
+            piecewise_residual: Some(0.1),
+            appearance_ratio: Some(2.0),
+            mean_error: Some(3.0),
+            max_jump: Some(4.0),
+            paper_peak_frame: Some(17),
+            peak_reliable: Some(false),
+            series: Series::default(),
+        },
+        z_reproj_px: Some(1.5),
+        z_aepe_worldscore_px: Some(-1.5),
+        z_piecewise_residual: Some(0.25),
+        z_appearance_ratio: Some(-0.25),
+        anomaly: Some(0.5),
+        anomaly_lo: Some(0.25),
+        anomaly_hi: Some(0.75),
+        rank: Some(1),
+        percentile: Some(50.0),
+        decision: Decision::Keep,
+        reward: Some(-0.5),
+        ..row(video, carried)
+    }
+}
+
+fn rows() -> Vec<Row> {
+    vec![
+        full_row(
+            "a/1.mp4",
+            json!({"prompt": "pick, \"up\"\nnow", "seed": 7, "ok": true, "tags": ["x", "y"],
+                   "mixed": 1, "status": "mine", "weight": 1, "nothing": null}),
+        ),
+        row("b/2.mp4", json!({"seed": -8, "weight": 0.1, "mixed": "one"})),
+        row("c/<é>.mp4", json!({})),
+    ]
+}
+
+fn jsonl(bytes: &[u8]) -> Vec<Map<String, Value>> {
+    std::str::from_utf8(bytes)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect()
+}
+
+/// Parquet's reader wants a file.
+fn opened(bytes: &[u8]) -> ParquetRecordBatchReaderBuilder<fs::File> {
+    let mut file = tempfile::tempfile().unwrap();
+    file.write_all(bytes).unwrap();
+    ParquetRecordBatchReaderBuilder::try_new(file).unwrap()
+}
+
+fn parquet(bytes: &[u8]) -> Vec<Map<String, Value>> {
+    let reader = opened(bytes).build().unwrap();
+    let mut records = Vec::new();
+    for batch in reader {
+        let batch = batch.unwrap();
+        for index in 0..batch.num_rows() {
+            let record = batch
+                .schema()
+                .fields()
+                .iter()
+                .zip(batch.columns())
+                .map(|(field, array)| (field.name().clone(), value(array, index)))
+                .collect();
+            records.push(record);
+        }
+    }
+    records
+}
+
+fn value(array: &ArrayRef, index: usize) -> Value {
+    if array.is_null(index) {
+        return Value::Null;
+    }
+    match array.data_type() {
+        DataType::Utf8 => array.as_string::<i32>().value(index).into(),
+        DataType::UInt32 => array.as_primitive::<UInt32Type>().value(index).into(),
+        DataType::UInt64 => array.as_primitive::<UInt64Type>().value(index).into(),
+        DataType::Int64 => array.as_primitive::<Int64Type>().value(index).into(),
+        DataType::Float64 => array.as_primitive::<Float64Type>().value(index).into(),
+        DataType::Boolean => array.as_boolean().value(index).into(),
+        other => panic!("no column has the type {other}"),
+    }
+}
+
+/// What Parquet says of a value that JSON Lines keeps as it came: texts, and integers among
+/// floats, are the only differences.
+fn as_in_parquet(column: &str, value: &Value) -> Value {
+    match (column, value) {
+        (_, Value::Null) => Value::Null,
+        ("tags" | "mixed", Value::String(text)) => text.as_str().into(),
+        ("tags" | "mixed", other) => other.to_string().into(),
+        ("weight", number) => number.as_f64().into(),
+        _ => value.clone(),
+    }
+}
+
+#[test]
+fn parquet_and_jsonl_say_the_same() {
+    let rows = rows();
+    let columns = score_columns(&rows);
+    let from_jsonl = jsonl(&to_bytes(Format::Jsonl, &columns, &rows).unwrap());
+    let from_parquet = parquet(&to_bytes(Format::Parquet, &columns, &rows).unwrap());
+    assert_eq!(from_jsonl.len(), 3);
+    assert_eq!(from_parquet.len(), 3);
+    for (json, parquet) in from_jsonl.iter().zip(&from_parquet) {
+        let names: Vec<_> = json.keys().collect();
+        assert_eq!(names, parquet.keys().collect::<Vec<_>>());
+        assert_eq!(names.len(), 37 + 8);
+        for (column, value) in json {
+            assert_eq!(as_in_parquet(column, value), parquet[column], "{column}");
+        }
+    }
+    // Values that were set arrive, and values that were not are null.
+    assert_eq!(from_parquet[0]["bytes"], json!(u64::MAX));
+    assert_eq!(from_parquet[0]["reproj_px"], json!(1e300));
+    assert_eq!(from_parquet[0]["duration_s"], json!(0.1 + 0.2));
+    assert_eq!(from_parquet[0]["motion_px"], json!(f64::MIN_POSITIVE / 2.0));
+    assert_eq!(from_parquet[0]["peak_reliable"], json!(false));
+    assert_eq!(from_parquet[0]["carried_status"], json!("mine"));
+    assert_eq!(from_parquet[0]["tags"], json!(r#"["x","y"]"#));
+    assert_eq!(from_parquet[1]["seed"], json!(-8));
+    assert_eq!(from_parquet[1]["anomaly"], Value::Null);
+    assert_eq!(from_parquet[2]["seed"], Value::Null);
+    assert!(from_jsonl[2].contains_key("nothing"), "nulls are written");
+}
+
+#[test]
+fn carried_columns_stand_after_group_in_source_order() {
+    let rows = rows();
+    let names: Vec<_> = score_columns(&rows).into_iter().map(|c| c.name).collect();
+    let expected = [
+        "video",
+        "group",
+        "prompt",
+        "seed",
+        "ok",
+        "tags",
+        "mixed",
+        "carried_status",
+        "weight",
+        "nothing",
+        "status",
+    ];
+    assert_eq!(names[..expected.len()], expected);
+}
+
+#[test]
+fn csv_quotes_by_rfc_4180() {
+    let rows = rows();
+    let columns = score_columns(&rows);
+    let bytes = to_bytes(Format::Csv, &columns, &rows).unwrap();
+    let text = std::str::from_utf8(&bytes).unwrap();
+    assert!(text.starts_with("video,group,prompt,"));
+    let line = "\r\na/1.mp4,\"kitchen, \"\"left\"\"\",\"pick, \"\"up\"\"\nnow\",7,true,\
+                \"[\"\"x\"\",\"\"y\"\"]\",1,mine,1,,scored,,";
+    assert!(text.contains(line), "{text}");
+
+    let mut reader = ::csv::Reader::from_reader(bytes.as_slice());
+    let header: Vec<_> = reader.headers().unwrap().iter().map(str::to_owned).collect();
+    let json = jsonl(&to_bytes(Format::Jsonl, &columns, &rows).unwrap());
+    for (record, json) in reader.records().map(Result::unwrap).zip(&json) {
+        for (name, field) in header.iter().zip(record.iter()) {
+            let expected = match &json[name] {
+                Value::Null => String::new(),
+                Value::String(text) => text.clone(),
+                other => other.to_string(),
+            };
+            assert_eq!(field, expected, "{name}");
+        }
+    }
+}
+
+#[test]
+fn many_rows_make_bounded_row_groups() {
+    let rows: Vec<_> = (0..70_000)
+        .map(|index| row(&format!("v{index:05}"), json!({"seed": index})))
+        .collect();
+    let columns = score_columns(&rows);
+    let bytes = to_bytes(Format::Parquet, &columns, &rows).unwrap();
+    let groups: Vec<_> = opened(&bytes)
+        .metadata()
+        .row_groups()
+        .iter()
+        .map(|group| group.num_rows())
+        .collect();
+    assert_eq!(groups, [65_536, 70_000 - 65_536]);
+    let back = parquet(&bytes);
+    assert_eq!(back[69_999]["video"], json!("v69999"));
+    assert_eq!(back[69_999]["seed"], json!(69_999));
+}
+
+fn corpus() -> CorpusFile {
+    let population = Population {
+        n: 1,
+        signals: BTreeMap::new(),
+        weights: BTreeMap::from([("reproj_px".to_owned(), 0.1 + 0.2)]),
+    };
+    CorpusFile {
+        plumbline_version: "0.1.0".to_owned(),
+        source: vec!["rollouts/".to_owned()],
+        profile: ProfileRecord {
+            name: "standard".to_owned(),
+            digest: "d1ge57".to_owned(),
+            parameters: json!({"working_height_px": 256}),
+        },
+        conditioning_frames: 1,
+        statistics: CorpusStatistics {
+            statuses: BTreeMap::from([("scored".to_owned(), 1)]),
+            decisions: BTreeMap::from([("keep".to_owned(), 1)]),
+            recipe: Recipe::Paper,
+            bins: 30,
+            range: Range::Full,
+            keep: "80%".to_owned(),
+            corpus: population.clone(),
+            groups: BTreeMap::from([("kitchen".to_owned(), population)]),
+            sensitivity: None,
+            warnings: Vec::new(),
+        },
+    }
+}
+
+fn rewards() -> Vec<Reward> {
+    vec![Reward {
+        video: VideoId::new("a/1.mp4").unwrap(),
+        group: Some("kitchen".to_owned()),
+        raw: -0.5,
+        percentile: 50.0,
+        soft: 0.5,
+        group_rank: 1,
+        group_size: 1,
+    }]
+}
+
+fn publish_into(out: &OutDir, formats: &[Format]) -> Result<Vec<String>, PublishError> {
+    let rows = rows();
+    let locations: Vec<_> = rows
+        .iter()
+        .map(|row| format!("/data/{}", row.video))
+        .collect();
+    let costs = [CostRow {
+        video: rows[0].video.clone(),
+        cost: Cost {
+            total_s: 1.5,
+            ..Cost::default()
+        },
+        attempts: 2,
+        worker: "w1".to_owned(),
+    }];
+    let run = Publication {
+        rows: &rows,
+        locations: &locations,
+        costs: &costs,
+        rewards: &rewards(),
+        report_html: Some("<!doctype html>"),
+        corpus: &corpus(),
+    };
+    publish(out, &run, &BTreeSet::from_iter(formats.iter().copied()))
+}
+
+fn files(out: &OutDir) -> BTreeMap<String, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    for folder in ["", "manifests/"] {
+        for entry in fs::read_dir(out.root().join(folder)).unwrap() {
+            let entry = entry.unwrap();
+            if entry.file_type().unwrap().is_file() {
+                let name = format!("{folder}{}", entry.file_name().to_str().unwrap());
+                files.insert(name, fs::read(entry.path()).unwrap());
+            }
+        }
+    }
+    files
+}
+
+#[test]
+fn two_runs_are_byte_identical_and_corpus_json_comes_last() {
+    let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let one = OutDir::create(one.path()).unwrap();
+    let two = OutDir::create(two.path()).unwrap();
+    let written = publish_into(&one, &Format::ALL).unwrap();
+    publish_into(&two, &Format::ALL).unwrap();
+    assert_eq!(files(&one), files(&two));
+    assert_eq!(written.last().map(String::as_str), Some("corpus.json"));
+    let mut sorted = written;
+    sorted.sort();
+    assert_eq!(sorted, files(&one).into_keys().collect::<Vec<_>>());
+    assert_eq!(sorted.len(), 3 + 2 + 6 + 2 + 1 + 1);
+}
+
+#[test]
+fn manifests_split_the_rows_and_share_one_schema() {
+    let root = tempfile::tempdir().unwrap();
+    let out = OutDir::create(root.path()).unwrap();
+    publish_into(&out, &[Format::Parquet]).unwrap();
+    let files = files(&out);
+    let keep = jsonl(&files["manifests/keep.jsonl"]);
+    let review = jsonl(&files["manifests/review.jsonl"]);
+    assert_eq!((keep.len(), review.len()), (1, 2));
+    assert!(files["manifests/drop.jsonl"].is_empty());
+    assert_eq!(keep[0]["path"], json!("/data/a/1.mp4"));
+    assert_eq!(keep[0]["tags"], json!(["x", "y"]));
+    assert_eq!(review[0]["status"], json!("failed"));
+    assert_eq!(
+        review[0]["status_reason"],
+        json!("the child ran out of memory")
+    );
+    let names: Vec<_> = keep[0].keys().map(String::as_str).collect();
+    assert_eq!(
+        names[..9],
+        [
+            "video",
+            "path",
+            "group",
+            "anomaly",
+            "rank",
+            "decision",
+            "status",
+            "status_reason",
+            "prompt"
+        ]
+    );
+    let schema = |name: &str| {
+        opened(&files[name]).schema().clone()
+    };
+    assert_eq!(
+        schema("manifests/keep.parquet"),
+        schema("manifests/drop.parquet")
+    );
+    assert_eq!(
+        schema("manifests/keep.parquet"),
+        schema("manifests/review.parquet")
+    );
+}
+
+#[test]
+fn rewards_and_costs_follow_the_formats() {
+    let root = tempfile::tempdir().unwrap();
+    let out = OutDir::create(root.path()).unwrap();
+    publish_into(&out, &[Format::Csv]).unwrap();
+    let names: Vec<_> = files(&out).into_keys().collect();
+    assert_eq!(
+        names,
+        [
+            "corpus.json",
+            "costs.jsonl",
+            "manifests/drop.jsonl",
+            "manifests/keep.jsonl",
+            "manifests/review.jsonl",
+            "report.html",
+            "rewards.parquet",
+            "scores.csv",
+        ]
+    );
+    let rewards = parquet(&files(&out)["rewards.parquet"]);
+    assert_eq!(rewards[0]["soft"], json!(0.5));
+    assert_eq!(rewards[0]["group_size"], json!(1));
+    let costs = jsonl(&files(&out)["costs.jsonl"]);
+    assert_eq!(
+        Value::Object(costs[0].clone()),
+        json!({"video": "a/1.mp4", "total_s": 1.5, "decode_s": 0.0, "flow_s": 0.0,
+               "signals_s": 0.0, "geometry_s": 0.0, "attempts": 2, "worker": "w1"})
+    );
+}
+
+#[test]
+fn tables_of_an_earlier_run_do_not_stay_to_contradict() {
+    let root = tempfile::tempdir().unwrap();
+    let out = OutDir::create(root.path()).unwrap();
+    publish_into(&out, &Format::ALL).unwrap();
+    publish_into(&out, &[Format::Jsonl]).unwrap();
+    let names: Vec<_> = files(&out).into_keys().collect();
+    assert!(!names.iter().any(|name| name == "scores.csv"), "{names:?}");
+    assert!(!names.iter().any(|name| name == "scores.parquet"));
+}
+
+#[test]
+fn a_failed_publication_is_not_marked_as_finished() {
+    let root = tempfile::tempdir().unwrap();
+    let out = OutDir::create(root.path()).unwrap();
+    publish_into(&out, &[Format::Jsonl]).unwrap();
+    fs::remove_file(root.path().join("rewards.parquet")).unwrap();
+    fs::create_dir(root.path().join("rewards.parquet")).unwrap();
+    let error = publish_into(&out, &[Format::Jsonl]).unwrap_err();
+    assert!(error.to_string().contains("rewards.parquet"), "{error}");
+    assert!(!root.path().join("corpus.json").exists());
+}
+
+#[test]
+fn corpus_json_reads_back_and_refuses_what_is_not_finite() {
+    let mut file = corpus();
+    let bytes = corpus::corpus_json(&file).unwrap();
+    let back: CorpusFile = serde_json::from_slice(&bytes).unwrap();
+    assert_eq!(back, file);
+    let value: Value = serde_json::from_slice(&bytes).unwrap();
+    assert_eq!(value["recipe"], json!("paper"), "statistics are flattened");
+    assert!(bytes.ends_with(b"}\n"));
+
+    file.statistics
+        .groups
+        .values_mut()
+        .for_each(|population| {
+            population
+                .weights
+                .insert("aepe_worldscore_px".to_owned(), f64::NAN);
+        });
+    let error = corpus::corpus_json(&file).unwrap_err();
+    assert!(
+        error
+            .to_string()
+            .contains("groups.kitchen.weights.aepe_worldscore_px"),
+        "{error}"
+    );
+}
+
+#[test]
+fn rows_without_locations_are_refused_before_anything_is_written() {
+    let root = tempfile::tempdir().unwrap();
+    let out = OutDir::create(root.path()).unwrap();
+    let run = Publication {
+        rows: &rows(),
+        locations: &[],
+        costs: &[],
+        rewards: &[],
+        report_html: None,
+        corpus: &corpus(),
+    };
+    let error = publish(&out, &run, &BTreeSet::from([Format::Jsonl])).unwrap_err();
+    assert!(matches!(error, PublishError::Locations { rows: 3, .. }));
+    assert_eq!(fs::read_dir(root.path()).unwrap().count(), 0);
+}

@@ -1,0 +1,332 @@
+//! From measurements to decisions: pure functions over the rows of one run (design section 8).
+//!
+//! [`reduce`] reads as the paper does: entropy of each measure over the corpus, weights by softmax,
+//! z-scores, their weighted sum S_r; then ranks, keep or drop, and rewards. In: one measurement per
+//! video, in any order. Out: one row per video in the order of `video`, bit for bit the same for any
+//! order of the input, since rows are sorted first and sums are exact. Pixel errors in px of a
+//! 256-px-high picture; scores have no unit, lower is better. Nothing fails: what cannot be scored
+//! goes to review with its reason, and what a reader must know stands in the warnings.
+
+pub mod histogram;
+pub mod interval;
+pub mod moments;
+mod natural;
+pub mod outcome;
+pub mod population;
+pub mod recipe;
+pub mod reject;
+pub mod rewards;
+pub mod select;
+pub mod sensitivity;
+pub mod standardise;
+pub mod sum;
+#[cfg(test)]
+mod tests;
+pub mod warnings;
+pub mod weights;
+
+use std::collections::BTreeMap;
+use std::num::NonZeroU16;
+
+use plumbline_common::id::VideoId;
+use plumbline_common::row::{Decision, Measurement, Row, Status};
+use serde_json::{Map, Value};
+
+use interval::{IntervalParams, anomaly_interval};
+use outcome::{CorpusStatistics, Population, Range, Recipe};
+use population::{Surveyed, survey};
+use recipe::{BySignal, Signal};
+use rewards::{Reward, Scored, reward};
+use select::{Candidate, KeepRule, Selected, select};
+use sensitivity::sensitivity;
+
+/// The paper's number of histogram bins.
+pub const PAPER_BINS: NonZeroU16 = NonZeroU16::MIN.saturating_add(29);
+
+/// How a corpus is reduced.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReduceOptions {
+    /// Which signals make the score.
+    pub recipe: Recipe,
+    /// Histogram bins; the paper's 30 are [`PAPER_BINS`].
+    pub bins: NonZeroU16,
+    /// Histogram range.
+    pub range: Range,
+    /// What to keep of each group.
+    pub keep: KeepRule,
+    /// Digest of the profile that measured the rows.
+    pub profile_digest: String,
+    /// Score the rows of a group against their group instead of the whole corpus (rows without a
+    /// group: against the whole corpus).
+    pub normalise_within_group: bool,
+}
+
+/// One video's measurement, with what the source says of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredVideo {
+    /// Unique in the corpus.
+    pub video: VideoId,
+    /// Value of `--group-by`.
+    pub group: Option<String>,
+    /// Columns carried through from a list.
+    pub carried: Map<String, Value>,
+    /// What the worker says.
+    pub measurement: Measurement,
+}
+
+/// What a run comes to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reduced {
+    /// One per video, by video.
+    pub rows: Vec<Row>,
+    /// The content of `corpus.json`.
+    pub statistics: CorpusStatistics,
+    /// One per row that has a score, by video.
+    pub rewards: Vec<Reward>,
+}
+
+/// Reduces a run.
+#[must_use]
+pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduced {
+    videos.sort_by(|a, b| a.video.cmp(&b.video));
+    let mut rejected = 0;
+    for video in &mut videos {
+        rejected += u64::from(reject::reject_non_finite(&mut video.measurement));
+    }
+
+    let scored: Vec<&MeasuredVideo> = videos
+        .iter()
+        .filter(|video| video.measurement.status == Status::Scored)
+        .collect();
+    let corpus = survey(&values_of(&scored), options.bins, options.range);
+    let groups = survey_groups(&scored, options);
+    let fragility = sensitivity(
+        &scored
+            .iter()
+            .map(|video| sensitivity::Row {
+                video: video.video.as_str(),
+                values: BySignal::of(&video.measurement),
+            })
+            .collect::<Vec<_>>(),
+        &corpus.yardstick,
+        options.bins,
+        options.range,
+    );
+
+    let mut rows: Vec<Row> = videos
+        .into_iter()
+        .map(|video| {
+            let own = video
+                .group
+                .as_ref()
+                .filter(|_| options.normalise_within_group);
+            score(video_population(own, &groups, &corpus), video, options)
+        })
+        .collect();
+    let selected = decide(&mut rows, &options.keep);
+    let rewards = reward_rows(&rows, &selected);
+
+    let populations = scored_against(&corpus, &groups, options);
+    let warnings = warnings::warnings(
+        &rows,
+        &populations,
+        &corpus.population,
+        fragility.as_ref(),
+        options.recipe,
+        options.bins.get(),
+        rejected,
+    );
+    let statistics = CorpusStatistics {
+        statuses: count(
+            Status::ALL.map(Status::as_str),
+            rows.iter().map(|row| row.measured.status.as_str()),
+        ),
+        decisions: count(
+            [Decision::Keep, Decision::Drop, Decision::Review].map(decision_name),
+            rows.iter().map(|row| decision_name(row.decision)),
+        ),
+        recipe: options.recipe,
+        bins: options.bins.get().into(),
+        range: options.range,
+        keep: options.keep.to_string(),
+        corpus: corpus.population,
+        groups: groups
+            .into_iter()
+            .map(|(name, group)| (name, group.population))
+            .collect(),
+        sensitivity: fragility,
+        warnings,
+    };
+    Reduced {
+        rows,
+        statistics,
+        rewards,
+    }
+}
+
+fn values_of(videos: &[&MeasuredVideo]) -> Vec<BySignal<Option<f64>>> {
+    videos
+        .iter()
+        .map(|video| BySignal::of(&video.measurement))
+        .collect()
+}
+
+fn survey_groups(scored: &[&MeasuredVideo], options: &ReduceOptions) -> BTreeMap<String, Surveyed> {
+    let mut members: BTreeMap<&str, Vec<&MeasuredVideo>> = BTreeMap::new();
+    for video in scored {
+        if let Some(group) = &video.group {
+            members.entry(group).or_default().push(video);
+        }
+    }
+    members
+        .into_iter()
+        .map(|(group, videos)| {
+            (
+                group.to_owned(),
+                survey(&values_of(&videos), options.bins, options.range),
+            )
+        })
+        .collect()
+}
+
+fn video_population<'a>(
+    group: Option<&String>,
+    groups: &'a BTreeMap<String, Surveyed>,
+    corpus: &'a Surveyed,
+) -> &'a Surveyed {
+    group.and_then(|group| groups.get(group)).unwrap_or(corpus)
+}
+
+/// z, S_r and its interval for a scored row; every other row keeps its raw values alone.
+fn score(against: &Surveyed, video: MeasuredVideo, options: &ReduceOptions) -> Row {
+    let MeasuredVideo {
+        video,
+        group,
+        carried,
+        measurement,
+    } = video;
+    let yardstick = &against.yardstick;
+    let is_scored = measurement.status == Status::Scored;
+    let values = if is_scored {
+        BySignal::of(&measurement)
+    } else {
+        BySignal::default()
+    };
+    let z = yardstick.z(&values);
+    let anomaly = yardstick.anomaly(options.recipe, &values);
+    let interval = anomaly.and_then(|anomaly| {
+        anomaly_interval(
+            &measurement.series,
+            &values,
+            anomaly,
+            yardstick,
+            options.recipe,
+            measurement
+                .digest
+                .as_deref()
+                .unwrap_or(video.as_str())
+                .as_bytes(),
+            &IntervalParams::default(),
+        )
+    });
+    Row {
+        video,
+        group,
+        carried,
+        measured: measurement,
+        z_reproj_px: z[Signal::ReprojPx],
+        z_aepe_worldscore_px: z[Signal::AepeWorldscorePx],
+        z_piecewise_residual: z[Signal::PiecewiseResidual],
+        z_appearance_ratio: z[Signal::AppearanceRatio],
+        anomaly,
+        anomaly_lo: interval.map(|(lo, _)| lo),
+        anomaly_hi: interval.map(|(_, hi)| hi),
+        rank: None,
+        percentile: None,
+        decision: Decision::Review,
+        reward: anomaly.map(reward),
+        recipe: recipe_name(options.recipe).to_owned(),
+        profile_digest: options.profile_digest.clone(),
+    }
+}
+
+/// Fills in rank, percentile and decision.
+fn decide(rows: &mut [Row], keep: &KeepRule) -> Vec<Selected> {
+    let candidates: Vec<Candidate<'_>> = rows
+        .iter()
+        .map(|row| Candidate {
+            video: &row.video,
+            group: row.group.as_deref(),
+            anomaly: row.anomaly,
+        })
+        .collect();
+    let selected = select(&candidates, keep);
+    for (row, selected) in rows.iter_mut().zip(&selected) {
+        row.rank = selected.place.map(|place| place.rank);
+        row.percentile = selected.place.map(|place| place.percentile());
+        row.decision = selected.decision;
+    }
+    selected
+}
+
+fn reward_rows(rows: &[Row], selected: &[Selected]) -> Vec<Reward> {
+    let scored: Vec<Scored<'_>> = rows
+        .iter()
+        .zip(selected)
+        .filter_map(|(row, selected)| {
+            Some(Scored {
+                video: &row.video,
+                group: row.group.as_deref(),
+                anomaly: row.anomaly?,
+                place: selected.place?,
+            })
+        })
+        .collect();
+    rewards::rewards(&scored)
+}
+
+/// The populations that rows were scored against, by a name to print.
+fn scored_against<'a>(
+    corpus: &'a Surveyed,
+    groups: &'a BTreeMap<String, Surveyed>,
+    options: &ReduceOptions,
+) -> Vec<(String, &'a Population)> {
+    if options.normalise_within_group && !groups.is_empty() {
+        return groups
+            .iter()
+            .map(|(name, group)| (format!("group {name}"), &group.population))
+            .collect();
+    }
+    vec![("the corpus".to_owned(), &corpus.population)]
+}
+
+/// How often each name occurs; every one of `names` is present.
+fn count<'a, const N: usize>(
+    names: [&str; N],
+    found: impl Iterator<Item = &'a str>,
+) -> BTreeMap<String, u64> {
+    let mut counts: BTreeMap<String, u64> = names.map(|name| (name.to_owned(), 0)).into();
+    for name in found {
+        *counts.entry(name.to_owned()).or_default() += 1;
+    }
+    counts
+}
+
+/// The name used in every output.
+#[must_use]
+pub fn decision_name(decision: Decision) -> &'static str {
+    match decision {
+        Decision::Keep => "keep",
+        Decision::Drop => "drop",
+        Decision::Review => "review",
+    }
+}
+
+/// The name used in every output.
+#[must_use]
+pub fn recipe_name(recipe: Recipe) -> &'static str {
+    match recipe {
+        Recipe::Paper => "paper",
+        Recipe::Balanced => "balanced",
+    }
+}

@@ -1,0 +1,126 @@
+//! The last gate before statistics: a measurement with NaN or an infinity in it is a failed one.
+//!
+//! Such a value is a fault of the measurement, whatever its status says; one of them would spoil
+//! every sum. It becomes null, and the row `failed` with the column's name as the reason. Every
+//! field is named below without `..`, so that a new column does not pass unseen.
+
+use plumbline_common::row::{Measurement, Series, Status};
+
+/// Clears what is not finite; returns true where there was any, the row then being `failed`.
+pub fn reject_non_finite(measured: &mut Measurement) -> bool {
+    let Some(column) = clear_non_finite(measured) else {
+        return false;
+    };
+    let status = measured.status.as_str();
+    measured.status_reason = Some(match measured.status_reason.take() {
+        Some(reason) => format!("{column} is not a finite number (was {status}: {reason})"),
+        None => format!(
+            "{column} is not a finite number (was {status}); measure the video again and report it if it persists"
+        ),
+    });
+    measured.status = Status::Failed;
+    true
+}
+
+/// Sets non-finite values to null; the name of the first column that had one.
+fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
+    let Measurement {
+        status: _,
+        status_reason: _,
+        digest: _,
+        bytes: _,
+        frames: _,
+        fps,
+        width: _,
+        height: _,
+        duration_s,
+        scene: _,
+        motion_px,
+        reproj_px,
+        reproj_method: _,
+        aepe_px,
+        aepe_worldscore_px,
+        occluded_fraction,
+        piecewise_residual,
+        appearance_ratio,
+        mean_error,
+        max_jump,
+        paper_peak_frame: _,
+        peak_reliable: _,
+        series,
+    } = measured;
+    let Series {
+        first_frame: _,
+        aepe_px: series_aepe_px,
+        aepe_worldscore_px: series_aepe_worldscore_px,
+        reproj_px: series_reproj_px,
+        reproj_cells: _,
+        piecewise_residual: series_piecewise_residual,
+        appearance_ratio: series_appearance_ratio,
+        motion_px: series_motion_px,
+    } = series;
+    let columns: [(&str, &mut [Option<f64>]); 17] = [
+        ("fps", std::slice::from_mut(fps)),
+        ("duration_s", std::slice::from_mut(duration_s)),
+        ("motion_px", std::slice::from_mut(motion_px)),
+        ("reproj_px", std::slice::from_mut(reproj_px)),
+        ("aepe_px", std::slice::from_mut(aepe_px)),
+        (
+            "aepe_worldscore_px",
+            std::slice::from_mut(aepe_worldscore_px),
+        ),
+        ("occluded_fraction", std::slice::from_mut(occluded_fraction)),
+        (
+            "piecewise_residual",
+            std::slice::from_mut(piecewise_residual),
+        ),
+        ("appearance_ratio", std::slice::from_mut(appearance_ratio)),
+        ("mean_error", std::slice::from_mut(mean_error)),
+        ("max_jump", std::slice::from_mut(max_jump)),
+        ("series.aepe_px", series_aepe_px),
+        ("series.aepe_worldscore_px", series_aepe_worldscore_px),
+        ("series.reproj_px", series_reproj_px),
+        ("series.piecewise_residual", series_piecewise_residual),
+        ("series.appearance_ratio", series_appearance_ratio),
+        ("series.motion_px", series_motion_px),
+    ];
+    let mut first = None;
+    for (name, values) in columns {
+        for value in values
+            .iter_mut()
+            .filter(|value| value.is_some_and(|v| !v.is_finite()))
+        {
+            *value = None;
+            first.get_or_insert(name);
+        }
+    }
+    first
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn non_finite_values_become_a_failure() {
+        let mut measured = Measurement::without_score(Status::Scored, "");
+        measured.status_reason = None;
+        measured.reproj_px = Some(1.5);
+        assert!(!reject_non_finite(&mut measured));
+        assert_eq!(measured.status, Status::Scored);
+
+        measured.aepe_px = Some(f64::NAN);
+        measured.series.motion_px = vec![Some(1.0), Some(f64::INFINITY), None];
+        assert!(reject_non_finite(&mut measured));
+        assert_eq!(measured.status, Status::Failed);
+        assert!(
+            measured
+                .status_reason
+                .as_deref()
+                .is_some_and(|r| r.starts_with("aepe_px is not"))
+        );
+        assert_eq!((measured.aepe_px, measured.reproj_px), (None, Some(1.5)));
+        assert_eq!(measured.series.motion_px, [Some(1.0), None, None]);
+        assert!(!reject_non_finite(&mut measured));
+    }
+}

@@ -1,0 +1,162 @@
+//! `report.html`: one self-contained page that says what was scored, how to read it, who is worst
+//! and best and where, and on what grounds.
+//!
+//! Inline CSS and SVG, images as `data:` addresses, one short inline script that sorts and filters
+//! the table (the page is whole without it); a content policy forbids every request. All text is
+//! escaped by maud. The page is bounded whatever the corpus: tables, points, series and pictures
+//! are capped, and each cap says so on the page. Rendering cannot fail; equal input gives equal
+//! bytes. Pixel figures are pixels of a 256-px-high picture.
+
+mod axis;
+mod distribution;
+mod measures;
+mod motion;
+mod overview;
+mod page;
+mod provenance;
+mod ranking;
+mod series;
+mod statuses;
+mod table;
+mod text;
+
+#[cfg(test)]
+mod fixture;
+#[cfg(test)]
+mod tests;
+
+use plumbline_common::id::VideoId;
+use plumbline_common::row::{Row, Status};
+
+use crate::publish::{CorpusFile, CostRow};
+
+/// Videos shown at each end of the ranking unless the caller says otherwise.
+pub const DEFAULT_RANKED: usize = 12;
+
+/// Everything the report is made of.
+pub struct ReportInput<'a> {
+    /// What was scored, as the reader calls it.
+    pub title: &'a str,
+    /// The statistics.
+    pub corpus: &'a CorpusFile,
+    /// One row per input video.
+    pub rows: &'a [Row],
+    /// Pictures of a video at its peak frame, asked for the ranked videos only.
+    pub thumbnails: &'a dyn Fn(&VideoId) -> Option<Thumbnails>,
+    /// What the run cost; a report with costs differs from run to run.
+    pub costs: Option<CostSummary>,
+    /// Options of the run, as name and value, for the record.
+    pub options: &'a [(String, String)],
+    /// Videos shown at each end of the ranking.
+    pub ranked: usize,
+}
+
+/// Pictures of one video at its peak frame, as JPEG files.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Thumbnails {
+    /// The frame.
+    pub frame_jpeg: Vec<u8>,
+    /// Its residuals as a heat map.
+    pub heat_jpeg: Option<Vec<u8>>,
+}
+
+/// Seconds spent, summed over all measurements.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct CostSummary {
+    /// Measurements.
+    pub videos: u64,
+    /// Deliveries beyond the first.
+    pub retries: u64,
+    /// Wall time of all measurements.
+    pub total_s: f64,
+    /// Reading and decoding.
+    pub decode_s: f64,
+    /// Optical flow.
+    pub flow_s: f64,
+    /// End-point errors and signals.
+    pub signals_s: f64,
+    /// Motion models.
+    pub geometry_s: f64,
+}
+
+impl CostSummary {
+    /// Sums the costs of a run.
+    #[must_use]
+    pub fn of(costs: &[CostRow]) -> Self {
+        let mut sum = Self::default();
+        for row in costs {
+            sum.videos += 1;
+            sum.retries += u64::from(row.attempts.saturating_sub(1));
+            sum.total_s += row.cost.total_s;
+            sum.decode_s += row.cost.decode_s;
+            sum.flow_s += row.cost.flow_s;
+            sum.signals_s += row.cost.signals_s;
+            sum.geometry_s += row.cost.geometry_s;
+        }
+        sum
+    }
+}
+
+/// The page.
+#[must_use]
+pub fn render(input: &ReportInput<'_>) -> String {
+    let judged = Judged::of(input.rows);
+    let sections = [
+        overview::section(input),
+        ranking::worst(input, &judged),
+        distribution::section(input, &judged),
+        motion::section(&judged),
+        measures::section(input.corpus),
+        ranking::best(input, &judged),
+        table::section(&judged),
+        statuses::section(input.rows),
+        provenance::section(input),
+    ];
+    page::assemble(input.title, sections)
+}
+
+/// A row that has an anomaly score.
+#[derive(Clone, Copy)]
+pub(crate) struct Scored<'a> {
+    row: &'a Row,
+    anomaly: f64,
+}
+
+/// The rows that have a score, the worst first; ties by video, as in the ranks.
+pub(crate) struct Judged<'a> {
+    worst_first: Vec<Scored<'a>>,
+    /// Groups by size, the largest first, ties by name; a single `None` without groups.
+    groups: Vec<(Option<&'a str>, usize)>,
+}
+
+impl<'a> Judged<'a> {
+    fn of(rows: &'a [Row]) -> Self {
+        let mut worst_first: Vec<Scored<'a>> = rows
+            .iter()
+            .filter(|row| row.measured.status == Status::Scored)
+            .filter_map(|row| {
+                let anomaly = row.anomaly.filter(|anomaly| anomaly.is_finite())?;
+                Some(Scored { row, anomaly })
+            })
+            .collect();
+        worst_first.sort_by(|a, b| {
+            b.anomaly
+                .total_cmp(&a.anomaly)
+                .then_with(|| b.row.video.cmp(&a.row.video))
+        });
+        let mut sizes = std::collections::BTreeMap::new();
+        for scored in &worst_first {
+            *sizes.entry(scored.row.group.as_deref()).or_insert(0) += 1;
+        }
+        let mut groups: Vec<_> = sizes.into_iter().collect();
+        groups.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+        Self {
+            worst_first,
+            groups,
+        }
+    }
+
+    fn grouped(&self) -> bool {
+        self.groups.iter().any(|(name, _)| name.is_some())
+    }
+}

@@ -1,0 +1,81 @@
+//! Where the figures come from: version, profile, recipe, options; and what they cost.
+
+use maud::{Markup, html};
+
+use super::page::Section;
+use super::{CostSummary, ReportInput, text};
+use crate::reduce::outcome::{Range, Recipe};
+
+/// Most characters of profile parameters on the page; corpus.json has them whole.
+const PARAMETER_CHARS: usize = 20_000;
+/// Most sources and options listed.
+const ENTRIES: usize = 40;
+
+pub(super) fn section(input: &ReportInput<'_>) -> Section {
+    let corpus = input.corpus;
+    let statistics = &corpus.statistics;
+    let recipe = match statistics.recipe {
+        Recipe::Paper => "paper",
+        Recipe::Balanced => "balanced",
+    };
+    let range = match statistics.range {
+        Range::Full => "full range",
+        Range::Winsorised => "0.5–99.5% range",
+    };
+    let parameters: String = serde_json::to_string_pretty(&corpus.profile.parameters)
+        .unwrap_or_default()
+        .chars()
+        .take(PARAMETER_CHARS)
+        .collect();
+    Section {
+        id: "provenance",
+        title: "Provenance",
+        body: Some(html! {
+            dl.provenance {
+                @for source in corpus.source.iter().take(ENTRIES) { (entry("Source", html! { (text::name(source)) })) }
+                @if corpus.source.len() > ENTRIES { (entry("Source", html! { (text::length(corpus.source.len() - ENTRIES)) " more in corpus.json" })) }
+                (entry("Version", html! { (corpus.plumbline_version) }))
+                (entry("Profile", html! { (text::name(&corpus.profile.name)) }))
+                (entry("Profile digest", html! { code { (text::visible(&corpus.profile.digest)) } }))
+                (entry("Recipe", html! { (recipe) }))
+                (entry("Keep rule", html! { code { (text::visible(&statistics.keep)) } }))
+                (entry("Histogram", html! { (statistics.bins) " bins, " (range) }))
+                (entry("Left out", html! { (corpus.conditioning_frames) " leading frame" @if corpus.conditioning_frames != 1 { "s" } " of each video (conditioning)" }))
+                @for (name, value) in input.options.iter().take(ENTRIES) {
+                    (entry(&text::plain_name(name, 60), html! { code { (text::plain_name(value, 300)) } }))
+                }
+                @if let Some(costs) = input.costs { (entry("Compute", cost(&costs))) }
+            }
+            @if !corpus.profile.parameters.is_null() {
+                details { summary { "Profile parameters" } pre { (parameters) } }
+            }
+        }),
+    }
+}
+
+fn entry(label: &str, value: Markup) -> Markup {
+    html! { div { dt { (label) } dd { (value) } } }
+}
+
+fn cost(costs: &CostSummary) -> Markup {
+    #[expect(clippy::cast_precision_loss, reason = "a mean shown with three digits")]
+    let each_s = costs.total_s / (costs.videos.max(1) as f64);
+    let stages = [
+        ("decode", costs.decode_s),
+        ("flow", costs.flow_s),
+        ("signals", costs.signals_s),
+        ("geometry", costs.geometry_s),
+    ];
+    html! {
+        (text::seconds(costs.total_s)) " over " (text::videos(costs.videos)) ", " (text::seconds(each_s)) " each"
+        @if costs.total_s > 0.0 {
+            " ("
+            @for (index, (name, stage_s)) in stages.iter().enumerate() {
+                @if index > 0 { ", " }
+                (name) " " (text::fixed(Some(100.0 * stage_s / costs.total_s), 0)) "%"
+            }
+            ")"
+        }
+        @if costs.retries > 0 { "; " (text::count(costs.retries)) " repeated" }
+    }
+}

@@ -1,0 +1,159 @@
+//! The two ends of the ranking: each video with its peak frame, heat map, score and series.
+
+use maud::{Markup, html};
+
+use super::axis::Axis;
+use super::page::{Section, jpeg_address};
+use super::series::{sparkline, tenth};
+use super::{Judged, ReportInput, Scored, Thumbnails, text};
+
+/// Largest picture taken into the page; with 12 videos at each end and two pictures each it stays
+/// below 9 MB whatever the caller gives.
+const PICTURE_BYTES: usize = 128 << 10;
+
+pub(super) fn worst(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
+    let shown = input.ranked.min(judged.worst_first.len().div_ceil(2));
+    let videos = judged.worst_first.get(..shown).unwrap_or_default();
+    Section {
+        id: "worst",
+        title: "Least consistent",
+        body: Some(if videos.is_empty() {
+            html! { p.lead { "No video has a score, so there is no ranking. The reasons stand under “Not scored”." } }
+        } else {
+            html! {
+                p.lead { "The " (text::length(shown)) " highest anomaly scores. Picture: the frame with the largest jump of the reprojection error, beside it where the residual lies. The bar is the 90% interval." }
+                (cards(input, judged, videos.iter()))
+            }
+        }),
+    }
+}
+
+pub(super) fn best(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
+    let shown = input.ranked.min(judged.worst_first.len() / 2);
+    let start = judged.worst_first.len() - shown;
+    let videos = judged.worst_first.get(start..).unwrap_or_default();
+    Section {
+        id: "best",
+        title: "Most consistent",
+        body: (!videos.is_empty()).then(|| {
+            html! {
+                p.lead { "The " (text::length(shown)) " lowest anomaly scores. Look at their motion: a video that hardly moves has little to be wrong about." }
+                (cards(input, judged, videos.iter().rev()))
+            }
+        }),
+    }
+}
+
+fn cards<'a>(
+    input: &ReportInput<'_>,
+    judged: &Judged<'a>,
+    videos: impl Iterator<Item = &'a Scored<'a>> + Clone,
+) -> Markup {
+    let axis = interval_axis(judged);
+    html! {
+        div.clips {
+            @for scored in videos {
+                (card(scored, axis, (input.thumbnails)(&scored.row.video)))
+            }
+        }
+    }
+}
+
+/// One scale for all bars of the page, so that they compare.
+fn interval_axis(judged: &Judged<'_>) -> Axis {
+    let ends = judged.worst_first.iter().flat_map(|scored| {
+        let row = scored.row;
+        [Some(scored.anomaly), row.anomaly_lo, row.anomaly_hi]
+    });
+    let (lo, hi) = ends
+        .flatten()
+        .filter(|value| value.is_finite())
+        .fold((0.0_f64, 0.0_f64), |(lo, hi), value| {
+            (lo.min(value), hi.max(value))
+        });
+    Axis::spanning(lo, hi).padded(0.02)
+}
+
+fn card(scored: &Scored<'_>, axis: Axis, thumbnails: Option<Thumbnails>) -> Markup {
+    let row = scored.row;
+    let measured = &row.measured;
+    let fact = |label: &str, value: String| {
+        html! { div { dt { (label) } dd { (value) } } }
+    };
+    let peak = match (measured.paper_peak_frame, measured.peak_reliable) {
+        (Some(frame), Some(false)) => format!("{frame}, faint"),
+        (frame, _) => text::optional(frame),
+    };
+    html! {
+        article.clip {
+            (pictures(thumbnails))
+            div.what {
+                h3 { (text::name(row.video.as_str())) }
+                p.where {
+                    @if let Some(rank) = row.rank { "rank " (text::count(rank)) }
+                    @if row.group.is_some() { " · " (text::group(row.group.as_deref())) }
+                }
+            }
+            div.score {
+                strong { (text::signed(Some(scored.anomaly))) }
+                (interval(scored, axis))
+            }
+            dl.facts {
+                (fact("z reprojection", text::signed(row.z_reproj_px)))
+                (fact("z end-point", text::signed(row.z_aepe_worldscore_px)))
+                (fact("z piecewise", text::signed(row.z_piecewise_residual)))
+                (fact("z appearance", text::signed(row.z_appearance_ratio)))
+                (fact("motion, px", text::magnitude(measured.motion_px)))
+                (fact("peak frame", peak))
+            }
+            (sparkline(measured))
+        }
+    }
+}
+
+fn pictures(thumbnails: Option<Thumbnails>) -> Markup {
+    let usable = |jpeg: &Vec<u8>| !jpeg.is_empty() && jpeg.len() <= PICTURE_BYTES;
+    let Some(Thumbnails {
+        frame_jpeg,
+        heat_jpeg,
+    }) = thumbnails
+    else {
+        return html! {};
+    };
+    let heat_jpeg = heat_jpeg.filter(usable);
+    html! {
+        @if usable(&frame_jpeg) {
+            div.pictures {
+                img src=(jpeg_address(&frame_jpeg)) alt="Peak frame" loading="lazy" decoding="async";
+                @if let Some(heat) = heat_jpeg {
+                    img src=(jpeg_address(&heat)) alt="Heat map of the residual" loading="lazy" decoding="async";
+                }
+            }
+        }
+    }
+}
+
+/// The 90% interval around the score, with a mark at zero.
+fn interval(scored: &Scored<'_>, axis: Axis) -> Markup {
+    const WIDTH: f64 = 200.0;
+    const HEIGHT: f64 = 16.0;
+    let x = |value: f64| tenth(axis.position(value) * WIDTH);
+    let row = scored.row;
+    let ends = row.anomaly_lo.zip(row.anomaly_hi);
+    let label = ends.map(|(lo, hi)| {
+        format!("{} to {}", text::signed(Some(lo)), text::signed(Some(hi)))
+    });
+    html! {
+        div.interval {
+            svg viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } preserveAspectRatio="none" aria-hidden="true" {
+                path.base d={ "M0 " (HEIGHT / 2.0) "H" (WIDTH) } {}
+                path.zero d={ "M" (x(0.0)) " 2V" (HEIGHT - 2.0) } {}
+                @if let Some((lo, hi)) = ends {
+                    path.range d={ "M" (x(lo)) " " (HEIGHT / 2.0) "H" (x(hi)) } {}
+                }
+                path.at d={ "M" (x(scored.anomaly)) " " (HEIGHT / 2.0) "h0" } {}
+            }
+            span { (label.unwrap_or_else(|| "no interval".to_owned())) }
+        }
+    }
+}

@@ -1,0 +1,365 @@
+//! The story of a run: freeze the corpus, measure what is not measured yet, reduce, publish.
+//!
+//! Every step can be killed and run again. `corpus.json` disappears first and is written last, so
+//! that it is there exactly when everything else is.
+
+mod lease;
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use plumbline_common::id::VideoId;
+use plumbline_common::message::Job;
+use plumbline_common::row::{Measurement, Status};
+use plumbline_worker::child::{Measured, SlotError};
+use plumbline_worker::profile::Profile;
+
+use crate::collect::{Journal, JournalError, Record};
+use crate::corpus::{self, CorpusError, Entry, GroupBy, Ignored};
+use crate::fanout::{Fanout, Slots};
+use crate::progress::{Progress, say};
+use crate::publish::{self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError};
+use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
+use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput, Thumbnails};
+use lease::Lease;
+
+/// Where a run keeps what it needs to resume, below OUT.
+const STATE_DIRECTORY: &str = ".plumbline";
+
+/// Who measured, in `costs.*`, when no fleet is involved.
+const EMBEDDED_WORKER: &str = "embedded";
+
+/// A usable `plumbline score`.
+#[derive(Debug)]
+pub struct ScoreOptions {
+    /// What to score, as typed.
+    pub sources: Vec<String>,
+    /// Where results go.
+    pub out: PathBuf,
+    /// How rows are grouped.
+    pub group_by: Option<GroupBy>,
+    /// How videos are measured.
+    pub profile: Profile,
+    /// How rows become decisions.
+    pub reduce: ReduceOptions,
+    /// Whether an earlier run's measurements count.
+    pub resume: bool,
+    /// Formats of the tables.
+    pub formats: BTreeSet<Format>,
+    /// Who computes.
+    pub slots: Slots,
+}
+
+impl ScoreOptions {
+    /// The options that a reader of the report may ask for.
+    fn told(&self) -> Vec<(String, String)> {
+        let group_by = self.group_by.as_ref().map_or("none".to_owned(), GroupBy::to_string);
+        vec![
+            ("group by".to_owned(), group_by),
+            ("deadline per video".to_owned(), format!("{} s", self.slots.limits.deadline_s)),
+            ("memory per compute process".to_owned(), format!("{} MiB", self.slots.limits.memory_mib)),
+        ]
+    }
+}
+
+/// A finished run.
+#[derive(Debug)]
+pub struct Finished {
+    /// Where it is.
+    pub out: PathBuf,
+    /// What was published.
+    pub files: Vec<String>,
+    /// Rows, statistics and rewards.
+    pub reduced: Reduced,
+    /// Videos measured now (the others were taken over).
+    pub measured_now: usize,
+    /// Wall time of the run, seconds.
+    pub elapsed_s: f64,
+    /// Compute time of the videos measured now, seconds over all slots.
+    pub compute_s: f64,
+}
+
+impl Finished {
+    /// Whether every row is scored or static.
+    #[must_use]
+    pub fn complete(&self) -> bool {
+        let mut statuses = self.reduced.rows.iter().map(|row| row.measured.status);
+        statuses.all(|status| matches!(status, Status::Scored | Status::Static))
+    }
+}
+
+/// Why a run did not finish.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The list of videos is wrong.
+    #[error(transparent)]
+    Corpus(#[from] CorpusError),
+    /// Another run writes to the same place.
+    #[error("{out}: another plumbline run is writing there; wait for it or choose another --out")]
+    OutInUse {
+        /// OUT.
+        out: String,
+    },
+    /// The profile cannot be written down.
+    #[error("the profile cannot be encoded: {0}")]
+    Profile(serde_json::Error),
+    /// OUT cannot be written.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+    /// The journal cannot be written.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    /// No compute process can be started.
+    #[error(transparent)]
+    Slot(#[from] SlotError),
+    /// Ctrl-C or SIGTERM.
+    #[error("interrupted: {done} of {total} videos are measured and kept; run the same command again to go on")]
+    Interrupted {
+        /// Videos measured.
+        done: usize,
+        /// Videos in the corpus.
+        total: usize,
+    },
+}
+
+/// Scores a corpus on this machine.
+///
+/// # Errors
+/// [`RunError`]; whatever was measured is kept and taken over by the next run.
+pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
+    let started = Instant::now();
+    let listing = corpus::freeze(&options.sources, options.group_by.as_ref(), &options.out)?;
+    tell_ignored(&listing.ignored);
+    let entries = listing.entries;
+
+    let out = OutDir::create(&options.out)?;
+    let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
+    let _lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse {
+        out: options.out.display().to_string(),
+    })?;
+    out.remove(publish::CORPUS_FILE)?;
+    write_frozen(&state, &entries)?;
+
+    let journal_path = state.root().join("journal");
+    let mut journal = Journal::open(&journal_path, options.resume, &entries, &options.reduce.profile_digest)?;
+    let measured_before = journal.len();
+    if measured_before > 0 {
+        say(&format!("{measured_before} of {} videos were measured by an earlier run", entries.len()));
+    }
+    let compute_s = measure_missing(options, &entries, &mut journal).await?;
+    journal.sync()?;
+
+    let reduced = reduce::reduce(collected(&entries, &journal)?, &options.reduce);
+    let files = publish_run(options, &out, &entries, &journal, &reduced)?;
+    Ok(Finished {
+        out: options.out.clone(),
+        files,
+        measured_now: journal.len() - measured_before,
+        reduced,
+        elapsed_s: started.elapsed().as_secs_f64(),
+        compute_s,
+    })
+}
+
+/// Measures every readable entry that the journal does not answer; gives the compute time spent.
+async fn measure_missing(options: &ScoreOptions, entries: &[Entry], journal: &mut Journal) -> Result<f64, RunError> {
+    let profile = options.profile.canonical().map_err(RunError::Profile)?;
+    let jobs: Vec<Job> = entries
+        .iter()
+        .filter(|entry| !journal.contains(&entry.video))
+        .filter_map(|entry| job(entry, &profile))
+        .collect();
+    let by_video: std::collections::HashMap<&VideoId, &Entry> =
+        entries.iter().map(|entry| (&entry.video, entry)).collect();
+    let total = journal.len() + jobs.len();
+    let mut progress = Progress::start(total as u64, journal.len() as u64);
+    let mut compute_s = 0.0;
+    let mut fanout = Fanout::start(jobs, &options.slots);
+    let mut stop = StopSignals::listen();
+    loop {
+        let Measured { outcome, attempts } = tokio::select! {
+            next = fanout.next() => match next {
+                Some(measured) => measured?,
+                None => break,
+            },
+            () = stop.recv() => {
+                progress.finish();
+                journal.sync()?;
+                return Err(RunError::Interrupted { done: journal.len(), total: entries.len() });
+            }
+        };
+        let Some(entry) = by_video.get(&outcome.video) else {
+            continue;
+        };
+        progress.advance(outcome.measurement.status == Status::Scored);
+        compute_s += outcome.cost.total_s;
+        journal.append(&Record {
+            location: entry.location.clone(),
+            bytes: entry.bytes,
+            modified_ns: entry.modified_ns,
+            profile_digest: options.reduce.profile_digest.clone(),
+            attempts,
+            outcome,
+        })?;
+    }
+    progress.finish();
+    Ok(compute_s)
+}
+
+/// The job of an entry; none where the file could not even be looked at.
+fn job(entry: &Entry, profile: &[u8]) -> Option<Job> {
+    Some(Job {
+        video: entry.video.clone(),
+        location: entry.location.clone(),
+        bytes: entry.bytes?,
+        modified_ns: entry.modified_ns?,
+        profile: profile.to_vec(),
+    })
+}
+
+/// Every entry with its measurement, in the corpus' order: nothing is lost.
+fn collected(entries: &[Entry], journal: &Journal) -> Result<Vec<MeasuredVideo>, JournalError> {
+    entries
+        .iter()
+        .map(|entry| {
+            let measurement = match journal.read(&entry.video)? {
+                Some(record) => record.outcome.measurement,
+                None => unreadable(entry),
+            };
+            Ok(MeasuredVideo {
+                video: entry.video.clone(),
+                group: entry.group.clone(),
+                carried: entry.carried.clone(),
+                measurement,
+            })
+        })
+        .collect()
+}
+
+fn unreadable(entry: &Entry) -> Measurement {
+    let problem = entry.problem.as_deref().unwrap_or("not measured");
+    Measurement::without_score(
+        Status::Failed,
+        format!("{}: cannot be read ({problem}); mend it and run again", entry.path().display()),
+    )
+}
+
+fn publish_run(
+    options: &ScoreOptions,
+    out: &OutDir,
+    entries: &[Entry],
+    journal: &Journal,
+    reduced: &Reduced,
+) -> Result<Vec<String>, RunError> {
+    let parameters = serde_json::to_value(&options.profile).map_err(RunError::Profile)?;
+    let corpus = CorpusFile {
+        plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
+        source: options.sources.clone(),
+        profile: ProfileRecord {
+            name: options.profile.rung.as_str().to_owned(),
+            digest: options.reduce.profile_digest.clone(),
+            parameters,
+        },
+        conditioning_frames: options.profile.conditioning_frames,
+        statistics: reduced.statistics.clone(),
+    };
+    let locations: Vec<String> = entries.iter().map(|entry| entry.path().to_string_lossy().into_owned()).collect();
+    let costs = entries.iter().filter_map(|entry| cost_row(entry, journal).transpose());
+    let costs: Vec<CostRow> = costs.collect::<Result<_, _>>()?;
+    let thumbnails = |video: &VideoId| {
+        let pictures = journal.read(video).ok()??.outcome.thumbnails?;
+        Some(Thumbnails {
+            frame_jpeg: pictures.frame_jpeg,
+            heat_jpeg: Some(pictures.heat_jpeg),
+        })
+    };
+    let report = report::render(&ReportInput {
+        title: &options.sources.join(", "),
+        corpus: &corpus,
+        rows: &reduced.rows,
+        thumbnails: &thumbnails,
+        costs: Some(CostSummary::of(&costs)),
+        options: &options.told(),
+        ranked: DEFAULT_RANKED,
+    });
+    let publication = Publication {
+        rows: &reduced.rows,
+        locations: &locations,
+        costs: &costs,
+        rewards: &reduced.rewards,
+        report_html: Some(&report),
+        corpus: &corpus,
+    };
+    Ok(publish::publish(out, &publication, &options.formats)?)
+}
+
+fn cost_row(entry: &Entry, journal: &Journal) -> Result<Option<CostRow>, JournalError> {
+    Ok(journal.read(&entry.video)?.map(|record| CostRow {
+        video: entry.video.clone(),
+        cost: record.outcome.cost,
+        attempts: record.attempts,
+        worker: EMBEDDED_WORKER.to_owned(),
+    }))
+}
+
+/// The frozen list beside the journal, for a person who asks what a run was about.
+fn write_frozen(state: &OutDir, entries: &[Entry]) -> Result<(), RunError> {
+    state.put_atomic_with("corpus.jsonl", |writer| {
+        for entry in entries {
+            serde_json::to_writer(&mut *writer, entry)?;
+            writer.write_all(b"\n")?;
+        }
+        Ok(())
+    })?;
+    Ok(())
+}
+
+fn tell_ignored(ignored: &Ignored) {
+    if ignored.is_empty() {
+        return;
+    }
+    let by_extension: Vec<String> = ignored
+        .iter()
+        .map(|(extension, count)| match extension.as_str() {
+            "" => format!("{count} without extension"),
+            extension => format!("{count} .{extension}"),
+        })
+        .collect();
+    say(&format!(
+        "passed over files that are not named like videos: {} (a list or a glob takes any file)",
+        by_extension.join(", ")
+    ));
+}
+
+/// Ctrl-C and SIGTERM, as one event.
+struct StopSignals {
+    interrupt: Option<tokio::signal::unix::Signal>,
+    terminate: Option<tokio::signal::unix::Signal>,
+}
+
+impl StopSignals {
+    fn listen() -> Self {
+        use tokio::signal::unix::{SignalKind, signal};
+        Self {
+            interrupt: signal(SignalKind::interrupt()).ok(),
+            terminate: signal(SignalKind::terminate()).ok(),
+        }
+    }
+
+    async fn recv(&mut self) {
+        async fn one(signal: &mut Option<tokio::signal::unix::Signal>) {
+            match signal {
+                Some(signal) => {
+                    signal.recv().await;
+                }
+                None => std::future::pending().await,
+            }
+        }
+        tokio::select! {
+            () = one(&mut self.interrupt) => {}
+            () = one(&mut self.terminate) => {}
+        }
+    }
+}
+

@@ -1,0 +1,111 @@
+//! Settings that are not part of a score's definition: defaults < `plumbline.toml` in the working
+//! directory < environment (`PLUMBLINE_COMPUTE__DEADLINE_S=60`) < flags.
+
+use figment::Figment;
+use figment::providers::{Env, Format, Serialized, Toml};
+use plumbline_worker::child::ComputeLimits;
+use plumbline_worker::decode::DecodeLimits;
+use serde::{Deserialize, Serialize};
+
+/// The settings file looked for in the working directory.
+const FILE: &str = "plumbline.toml";
+
+/// Prefix of environment variables; `__` goes one section down.
+const ENV_PREFIX: &str = "PLUMBLINE_";
+
+/// All sections.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// What one video may cost in its compute child.
+    pub compute: ComputeLimits,
+    /// How large a video may be; part of the profile's digest, since it decides what is scored.
+    pub decode: DecodeLimits,
+}
+
+/// Why the settings are unusable.
+#[derive(Debug, thiserror::Error)]
+pub enum SettingsError {
+    /// File or environment do not parse, or name an unknown setting.
+    #[error("settings ({FILE} or {ENV_PREFIX}*): {0}")]
+    Read(#[from] Box<figment::Error>),
+    /// A value makes no sense.
+    #[error("settings: {name} must be {wanted}, not {found}")]
+    Value {
+        /// The setting.
+        name: &'static str,
+        /// What is allowed.
+        wanted: &'static str,
+        /// What was given.
+        found: f64,
+    },
+}
+
+impl Settings {
+    /// Reads file and environment over the defaults.
+    ///
+    /// # Errors
+    /// [`SettingsError`].
+    pub fn load() -> Result<Self, SettingsError> {
+        let settings: Self = Figment::from(Serialized::defaults(Self::default()))
+            .merge(Toml::file(FILE))
+            .merge(Env::prefixed(ENV_PREFIX).split("__").filter(|key| key.as_str().contains('.')))
+            .extract()
+            .map_err(Box::new)?;
+        settings.validate()?;
+        Ok(settings)
+    }
+
+    /// Checks the values.
+    ///
+    /// # Errors
+    /// [`SettingsError::Value`].
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        const MIN_MEMORY_MIB: u64 = 256;
+        let ComputeLimits { deadline_s, memory_mib } = self.compute;
+        if !(deadline_s.is_finite() && deadline_s > 0.0) {
+            return Err(SettingsError::Value {
+                name: "compute.deadline_s",
+                wanted: "above 0",
+                found: deadline_s,
+            });
+        }
+        if memory_mib < MIN_MEMORY_MIB {
+            return Err(SettingsError::Value {
+                name: "compute.memory_mib",
+                wanted: "256 or more",
+                found: memory_mib as f64,
+            });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn environment_beats_file_beats_defaults() {
+        figment::Jail::expect_with(|jail| {
+            jail.create_file(FILE, "[compute]\ndeadline_s = 5.0\nmemory_mib = 512\n")?;
+            jail.set_env("PLUMBLINE_COMPUTE__DEADLINE_S", "7.5");
+            let settings = Settings::load().map_err(|error| error.to_string())?;
+            assert_eq!(settings.compute.deadline_s, 7.5);
+            assert_eq!(settings.compute.memory_mib, 512);
+            assert_eq!(settings.decode, DecodeLimits::default());
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn a_misspelt_or_senseless_setting_is_refused() {
+        figment::Jail::expect_with(|jail| {
+            jail.create_file(FILE, "[compute]\ndeadline = 5.0\n")?;
+            assert!(Settings::load().unwrap_err().to_string().contains("deadline"));
+            jail.create_file(FILE, "[compute]\ndeadline_s = 0.0\n")?;
+            assert!(Settings::load().unwrap_err().to_string().contains("above 0"));
+            Ok(())
+        });
+    }
+}

@@ -1,0 +1,58 @@
+//! The child's side: limits first, then jobs from standard input, outcomes to standard output.
+
+use std::io::{BufWriter, Write};
+use std::sync::mpsc;
+
+use anyhow::Context;
+use plumbline_common::frame;
+use plumbline_common::message::{self, Job};
+use rustix::process::{Resource, Rlimit, setrlimit};
+
+use crate::measure::measure;
+
+/// Measures jobs until standard input closes.
+///
+/// # Errors
+/// When the limits cannot be set, a job does not decode, or standard output is gone. The parent
+/// sees the exit code and the message on standard error.
+pub fn run(memory_mib: u64) -> anyhow::Result<()> {
+    limit_resources(memory_mib)?;
+    let (jobs, inbox) = mpsc::sync_channel(1);
+    // A thread of its own watches the pipe, so that a child in the middle of a long video still
+    // ends at once when its parent is gone.
+    std::thread::spawn(move || {
+        let mut stdin = std::io::stdin().lock();
+        while let Ok(Some(bytes)) = frame::read(&mut stdin) {
+            if jobs.send(bytes).is_err() {
+                break;
+            }
+        }
+        std::process::exit(0);
+    });
+    let mut stdout = BufWriter::new(std::io::stdout().lock());
+    while let Ok(bytes) = inbox.recv() {
+        let job: Job = message::decode(&bytes)?;
+        let outcome = measure(&job)?;
+        frame::write(&mut stdout, &message::encode(&outcome)?)?;
+        stdout.flush()?;
+    }
+    Ok(())
+}
+
+/// Memory as given; no core dumps and no file writes: the child only reads.
+fn limit_resources(memory_mib: u64) -> anyhow::Result<()> {
+    let limits = [
+        (Resource::As, memory_mib.saturating_mul(1 << 20)),
+        (Resource::Core, 0),
+        (Resource::Fsize, 0),
+    ];
+    for (resource, value) in limits {
+        let limit = Rlimit {
+            current: Some(value),
+            maximum: Some(value),
+        };
+        setrlimit(resource, limit)
+            .with_context(|| format!("cannot limit {resource:?} to {value} bytes"))?;
+    }
+    Ok(())
+}

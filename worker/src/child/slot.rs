@@ -1,0 +1,256 @@
+//! The parent's side: one child per slot, started when needed, replaced when it dies.
+
+use std::path::PathBuf;
+use std::process::{ExitStatus, Stdio};
+use std::time::Duration;
+
+use plumbline_common::frame::{self, FrameError, HEADER_BYTES};
+use plumbline_common::message::{self, Job, MessageError, Outcome};
+use plumbline_common::row::{Cost, Measurement, Status};
+use serde::{Deserialize, Serialize};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command};
+use tokio::task::JoinHandle;
+
+use super::{CHILD_ARGUMENT, MEMORY_ARGUMENT};
+
+/// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
+/// video that kills two children is the cause.
+const MAX_ATTEMPTS: u32 = 2;
+
+/// How much of a dying child's standard error is kept for the reason.
+const STDERR_TAIL_BYTES: usize = 2048;
+
+/// What one video may cost.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ComputeLimits {
+    /// Wall time for one video, seconds.
+    pub deadline_s: f64,
+    /// Address space of one compute child, MiB.
+    pub memory_mib: u64,
+}
+
+impl Default for ComputeLimits {
+    /// Ten minutes: a 600 s clip at `standard` needs about five on a slow core. 4 GiB: the largest
+    /// object allowed is held in memory once, beside a few decoded 4K frames.
+    fn default() -> Self {
+        Self {
+            deadline_s: 600.0,
+            memory_mib: 4096,
+        }
+    }
+}
+
+/// A job's outcome and how often it was tried.
+#[derive(Debug)]
+pub struct Measured {
+    /// What came of it; always a row, whatever happened to the child.
+    pub outcome: Outcome,
+    /// 1, or 2 after a crash.
+    pub attempts: u32,
+}
+
+/// What ends the run, since no child can do any work.
+#[derive(Debug, thiserror::Error)]
+pub enum SlotError {
+    /// The child does not start.
+    #[error("cannot start the compute process {program}: {source}")]
+    Spawn {
+        /// The program.
+        program: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The job is no message.
+    #[error(transparent)]
+    Message(#[from] MessageError),
+}
+
+/// One compute slot: at most one child, at most one job at a time.
+#[derive(Debug)]
+pub struct ComputeSlot {
+    program: PathBuf,
+    limits: ComputeLimits,
+    running: Option<Running>,
+}
+
+#[derive(Debug)]
+struct Running {
+    child: Child,
+    stdin: ChildStdin,
+    stdout: ChildStdout,
+    last_words: JoinHandle<Vec<u8>>,
+}
+
+impl ComputeSlot {
+    /// A slot whose children run `program` (a Plumbline binary).
+    #[must_use]
+    pub fn new(program: PathBuf, limits: ComputeLimits) -> Self {
+        Self {
+            program,
+            limits,
+            running: None,
+        }
+    }
+
+    /// Measures one video; a crash or a passed deadline becomes a `failed` row. Dropping the future
+    /// ends the child.
+    ///
+    /// # Errors
+    /// [`SlotError`], when no child can be started at all.
+    pub async fn measure(&mut self, job: &Job) -> Result<Measured, SlotError> {
+        let request = message::encode(job)?;
+        let mut reason = String::new();
+        for attempts in 1..=MAX_ATTEMPTS {
+            let mut running = match self.running.take() {
+                Some(running) => running,
+                None => self.spawn()?,
+            };
+            let deadline = Duration::from_secs_f64(self.limits.deadline_s);
+            match tokio::time::timeout(deadline, running.exchange(&request)).await {
+                Ok(Ok(outcome)) => {
+                    self.running = Some(running);
+                    return Ok(Measured { outcome, attempts });
+                }
+                Err(_elapsed) => {
+                    let reason = format!(
+                        "not measured within {} s: shorten the clip or raise --deadline",
+                        self.limits.deadline_s
+                    );
+                    return Ok(failed(job, reason, attempts));
+                }
+                Ok(Err(broken)) => {
+                    reason = running.obituary(broken).await;
+                    tracing::warn!(video = %job.video, attempts, reason, "compute child lost");
+                }
+            }
+        }
+        let reason = format!(
+            "the compute process died {MAX_ATTEMPTS} times ({reason}); its memory limit is {} MiB (--memory)",
+            self.limits.memory_mib
+        );
+        Ok(failed(job, reason, MAX_ATTEMPTS))
+    }
+
+    fn spawn(&self) -> Result<Running, SlotError> {
+        let spawn_error = |source| SlotError::Spawn {
+            program: self.program.clone(),
+            source,
+        };
+        let mut child = Command::new(&self.program)
+            .arg(CHILD_ARGUMENT)
+            .arg(MEMORY_ARGUMENT)
+            .arg(self.limits.memory_mib.to_string())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .kill_on_drop(true)
+            // Ctrl-C goes to the whole foreground group; the parent alone decides what it means.
+            .process_group(0)
+            .spawn()
+            .map_err(spawn_error)?;
+        let missing = || spawn_error(std::io::Error::other("a pipe is missing"));
+        let stdin = child.stdin.take().ok_or_else(missing)?;
+        let stdout = child.stdout.take().ok_or_else(missing)?;
+        let stderr = child.stderr.take().ok_or_else(missing)?;
+        Ok(Running {
+            child,
+            stdin,
+            stdout,
+            last_words: tokio::spawn(tail_of(stderr)),
+        })
+    }
+}
+
+impl Running {
+    async fn exchange(&mut self, request: &[u8]) -> Result<Outcome, ExchangeError> {
+        self.stdin.write_all(&frame::header(request)?).await?;
+        self.stdin.write_all(request).await?;
+        self.stdin.flush().await?;
+        let mut header = [0; HEADER_BYTES];
+        self.stdout.read_exact(&mut header).await?;
+        let mut payload = vec![0; frame::payload_len(&header)?];
+        self.stdout.read_exact(&mut payload).await?;
+        frame::verify(&header, &payload)?;
+        Ok(message::decode(&payload)?)
+    }
+
+    /// How the child ended, with its last words.
+    async fn obituary(mut self, broken: ExchangeError) -> String {
+        let _already_dead = self.child.start_kill();
+        let ended = match self.child.wait().await {
+            Ok(status) => describe(status),
+            Err(error) => error.to_string(),
+        };
+        let tail = self.last_words.await.unwrap_or_default();
+        match last_words(&tail) {
+            Some(words) => format!("{ended}: {words}"),
+            None => format!("{ended}: {broken}"),
+        }
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+enum ExchangeError {
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    #[error(transparent)]
+    Message(#[from] MessageError),
+}
+
+fn describe(status: ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("exit code {code}"),
+        (None, Some(signal)) => format!("signal {signal}"),
+        (None, None) => "no exit code".into(),
+    }
+}
+
+/// The last line that says something, bounded and printable.
+fn last_words(tail: &[u8]) -> Option<String> {
+    const MAX_CHARS: usize = 200;
+    let text = String::from_utf8_lossy(tail);
+    let said = |line: &&str| !line.trim().is_empty() && !line.contains("RUST_BACKTRACE");
+    let line = text
+        .lines()
+        .find(|line| line.contains("panicked") || line.contains("memory allocation"))
+        .or_else(|| text.lines().rev().find(said))?;
+    Some(
+        line.trim()
+            .chars()
+            .filter(|c| !c.is_control())
+            .take(MAX_CHARS)
+            .collect(),
+    )
+}
+
+/// Drains standard error to its end and keeps the last bytes.
+async fn tail_of(mut stderr: ChildStderr) -> Vec<u8> {
+    let mut tail = Vec::new();
+    let mut chunk = [0; 1024];
+    while let Ok(n) = stderr.read(&mut chunk).await {
+        if n == 0 {
+            break;
+        }
+        tail.extend_from_slice(&chunk[..n]);
+        let surplus = tail.len().saturating_sub(STDERR_TAIL_BYTES);
+        tail.drain(..surplus);
+    }
+    tail
+}
+
+fn failed(job: &Job, reason: String, attempts: u32) -> Measured {
+    Measured {
+        outcome: Outcome {
+            video: job.video.clone(),
+            measurement: Measurement::without_score(Status::Failed, reason),
+            cost: Cost::default(),
+            thumbnails: None,
+        },
+        attempts,
+    }
+}

@@ -1,0 +1,485 @@
+//! One video file, in memory, to RGB frames in presentation order.
+//!
+//! FFmpeg's libraries run in process on one thread. The demuxer is chosen by [`super::sniff`] and may open
+//! nothing else. Limits are checked from the header before a codec runs, and again on every frame.
+//!
+//! A clip counts as decoded only in full, because a missing frame would be scored as a jump: a file that
+//! ends early (fewer samples than its index, or cut containers) and packets that the decoder refuses give
+//! `Undecodable`, after the frames that could be decoded have been delivered; callers discard them. A
+//! change of picture size within a clip is refused too: frames of two sizes have no common flow.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use ffmpeg_next::codec::{self, decoder};
+use ffmpeg_next::format::context::Input;
+use ffmpeg_next::format::stream::{Disposition, Stream};
+use ffmpeg_next::{Error, Packet, Rational, frame, media};
+
+use super::convert::{self, Converter};
+use super::ffi::{self, StreamHeader};
+use super::orient::Orientation;
+use super::structure::{self, Structure};
+use super::timeline::Timeline;
+use super::{Container, DecodeError, DecodeLimits, DecodedFrame, VideoInfo, sniff};
+
+/// Decodes `bytes`, a whole file, and hands every frame to `on_frame` in presentation order.
+///
+/// Frames are streamed: memory is bounded by a few pictures beside the bytes. `on_frame` may stop the
+/// decoding by `ControlFlow::Break`, which is not an error.
+///
+/// # Errors
+/// See [`DecodeError`]; frames may have been delivered before an error is found.
+pub fn decode_video(
+    bytes: Arc<[u8]>,
+    limits: &DecodeLimits,
+    on_frame: &mut dyn FnMut(DecodedFrame) -> ControlFlow<()>,
+) -> Result<VideoInfo, DecodeError> {
+    limits.check_bytes(bytes.len() as u64)?;
+    let container = sniff(&bytes)?;
+    let structure = structure::examine(container, &bytes);
+    let source = Source::open(bytes, container, structure)?;
+    source.check_header(limits)?;
+    let decoder = source.decoder(limits)?;
+    let mut run = Run {
+        timeline: Timeline::new(source.tick_s()),
+        source,
+        decoder,
+        limits,
+        converter: Converter::default(),
+        shape: None,
+        counts: Counts::default(),
+    };
+    let flow = run.all_packets(on_frame)?;
+    run.finish(flow.is_break())
+}
+
+impl Container {
+    fn demuxer(self) -> &'static std::ffi::CStr {
+        match self {
+            Self::Mp4 => c"mov",
+            Self::Matroska => c"matroska",
+            Self::Avi => c"avi",
+            Self::Gif => c"gif",
+        }
+    }
+}
+
+/// An open container and its chosen picture track.
+struct Source {
+    input: Input,
+    container: Container,
+    structure: Structure,
+    stream: usize,
+    header: StreamHeader,
+    time_base: Rational,
+    /// Samples that the container's index promises; none where it has no such count.
+    declared: Option<u64>,
+    orientation: Option<Orientation>,
+}
+
+impl Source {
+    fn open(
+        bytes: Arc<[u8]>,
+        container: Container,
+        structure: Structure,
+    ) -> Result<Self, DecodeError> {
+        if structure.lacks_index {
+            return Err(DecodeError::undecodable(
+                "the index (moov box) is missing or cut: the recording or the copy stopped early; re-copy the file",
+            ));
+        }
+        let mut input = ffi::open(bytes, container.demuxer())
+            .map_err(|error| DecodeError::undecodable(explain_open(error, container, structure)))?;
+        let stream = choose_stream(&input).ok_or(DecodeError::NoVideoStream)?;
+        ffi::keep_only(&mut input, stream);
+        let (header, time_base, declared, orientation) = {
+            let stream = input.stream(stream).ok_or(DecodeError::NoVideoStream)?;
+            let header = ffi::stream_header(&stream);
+            // A fragmented mp4 declares no samples up front, and AVI's count is often left wrong.
+            let declared = (container == Container::Mp4 && stream.frames() > 0)
+                .then_some(header.index_entries);
+            let orientation = stream
+                .side_data()
+                .find(|data| data.kind() == codec::packet::side_data::Type::DisplayMatrix)
+                .map(|data| Orientation::from_display_matrix(data.data()));
+            (header, stream.time_base(), declared, orientation)
+        };
+        Ok(Self {
+            input,
+            container,
+            structure,
+            stream,
+            header,
+            time_base,
+            declared,
+            orientation,
+        })
+    }
+
+    fn tick_s(&self) -> f64 {
+        f64::from(self.time_base.numerator()) / f64::from(self.time_base.denominator().max(1))
+    }
+
+    /// The limits, from the header alone.
+    fn check_header(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
+        limits.check_size(self.header.width, self.header.height)?;
+        if self.structure.has_placeholders {
+            return Ok(());
+        }
+        let stated = || u64::try_from(self.input.stream(self.stream)?.frames()).ok();
+        limits.check_frames(
+            self.structure
+                .frames
+                .or(self.declared)
+                .or_else(stated)
+                .unwrap_or(0),
+        )?;
+        limits.check_duration(self.header_duration_s().unwrap_or(0.0))
+    }
+
+    fn header_duration_s(&self) -> Option<f64> {
+        let stream_ticks = self.input.stream(self.stream)?.duration();
+        if stream_ticks > 0 {
+            return Some(stream_ticks as f64 * self.tick_s());
+        }
+        let whole = self.input.duration();
+        (whole > 0).then(|| whole as f64 / f64::from(ffmpeg_next::ffi::AV_TIME_BASE))
+    }
+
+    fn decoder(&self, limits: &DecodeLimits) -> Result<decoder::Video, DecodeError> {
+        let stream = self
+            .input
+            .stream(self.stream)
+            .ok_or(DecodeError::NoVideoStream)?;
+        let parameters = stream.parameters();
+        let name = parameters.id().name();
+        let failed = |error: Error| {
+            DecodeError::undecodable(explain_codec(error, name, self.header.codec_tag))
+        };
+        let mut context = codec::Context::from_parameters(parameters).map_err(failed)?;
+        ffi::constrain_decoder(
+            &mut context,
+            ALLOCATION_SLACK.saturating_add(limits.max_pixels_per_frame.saturating_mul(2)),
+        );
+        let mut decoder = context.decoder();
+        decoder.set_packet_time_base(self.time_base);
+        let decoder = decoder.video().map_err(failed)?;
+        // Some codecs state the size in their own header only (MPEG-4), which opening has read.
+        limits.check_size(decoder.width().into(), decoder.height().into())?;
+        Ok(decoder)
+    }
+}
+
+/// Codecs allocate whole blocks and borders, so their own bound is looser than the limit (twice, plus this
+/// many pixels for tiny pictures); the limit itself is checked on every picture.
+const ALLOCATION_SLACK: u64 = 1 << 16;
+
+/// The picture track that players show: the default one, then the largest, then the first; never a cover.
+fn choose_stream(input: &Input) -> Option<usize> {
+    let rank = |stream: &Stream<'_>| {
+        let header = ffi::stream_header(stream);
+        let is_default = stream.disposition().contains(Disposition::DEFAULT);
+        (
+            is_default,
+            header.width.saturating_mul(header.height),
+            std::cmp::Reverse(stream.index()),
+        )
+    };
+    input
+        .streams()
+        .filter(|stream| stream.parameters().medium() == media::Type::Video)
+        .filter(|stream| !stream.disposition().contains(Disposition::ATTACHED_PIC))
+        .max_by_key(rank)
+        .map(|stream| stream.index())
+}
+
+/// Size and naming of the delivered frames, fixed by the first one.
+#[derive(Debug, Clone, PartialEq)]
+struct Shape {
+    coded: (u32, u32),
+    square_width: u32,
+    aspect: f64,
+    orientation: Orientation,
+    pixel_format: String,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    /// Packets that arrived whole.
+    packets: u64,
+    /// Packets that the decoder refused.
+    rejected: u32,
+    /// Pictures that came out of the decoder.
+    pictures: u64,
+    dropped: u32,
+    damaged: u32,
+    /// The container ended in an error or in the middle of a sample.
+    read_failed: bool,
+}
+
+struct Run<'a> {
+    source: Source,
+    decoder: decoder::Video,
+    limits: &'a DecodeLimits,
+    timeline: Timeline,
+    converter: Converter,
+    shape: Option<Shape>,
+    counts: Counts,
+}
+
+type OnFrame<'f> = dyn FnMut(DecodedFrame) -> ControlFlow<()> + 'f;
+
+impl Run<'_> {
+    fn all_packets(&mut self, on_frame: &mut OnFrame<'_>) -> Result<ControlFlow<()>, DecodeError> {
+        loop {
+            let mut packet = Packet::empty();
+            match packet.read(&mut self.source.input) {
+                Ok(()) => {}
+                Err(Error::Eof) => break,
+                Err(_) => {
+                    self.counts.read_failed = true;
+                    break;
+                }
+            }
+            if packet.stream() != self.source.stream {
+                continue;
+            }
+            if packet.is_corrupt() {
+                self.counts.read_failed = true;
+                break;
+            }
+            self.counts.packets += 1;
+            self.limits.check_frames(self.timeline.frames().into())?;
+            let sent = self.decoder.send_packet(&packet);
+            if sent.is_err() {
+                self.counts.rejected = self.counts.rejected.saturating_add(1);
+            }
+            if self.all_pictures(on_frame)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        // A refused flush means that the decoder has nothing more to give.
+        if self.decoder.send_eof().is_err() {
+            return Ok(ControlFlow::Continue(()));
+        }
+        self.all_pictures(on_frame)
+    }
+
+    /// Delivers every picture that is ready.
+    fn all_pictures(&mut self, on_frame: &mut OnFrame<'_>) -> Result<ControlFlow<()>, DecodeError> {
+        loop {
+            let mut picture = frame::Video::empty();
+            match self.decoder.receive_frame(&mut picture) {
+                Ok(()) => {}
+                Err(
+                    Error::Eof
+                    | Error::Other {
+                        errno: ffmpeg_next::ffi::EAGAIN,
+                    },
+                ) => break,
+                Err(_) => {
+                    self.counts.rejected = self.counts.rejected.saturating_add(1);
+                    break;
+                }
+            }
+            self.counts.pictures += 1;
+            if let Some(decoded) = self.present(&picture)?
+                && on_frame(decoded).is_break()
+            {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// The frame as a player shows it; nothing when its time does not advance.
+    fn present(&mut self, picture: &frame::Video) -> Result<Option<DecodedFrame>, DecodeError> {
+        let square_width = self.shape_of(picture)?.square_width;
+        let orientation = self
+            .shape
+            .as_ref()
+            .map_or(Orientation::UPRIGHT, |shape| shape.orientation);
+        let ticks = self.ticks_of(picture)?;
+        let Some((index, time_s)) = self.timeline.push(ticks) else {
+            self.counts.dropped = self.counts.dropped.saturating_add(1);
+            return Ok(None);
+        };
+        self.limits.check_frames(u64::from(index) + 1)?;
+        self.limits.check_duration(time_s)?;
+        if picture.is_corrupt() || picture.has_decode_errors() {
+            self.counts.damaged = self.counts.damaged.saturating_add(1);
+        }
+        let rgb = self.converter.rgb(picture, square_width).map_err(|error| {
+            DecodeError::undecodable(format!("frame {index} does not convert: {error}"))
+        })?;
+        let (width, height) = (rgb.width() as usize, rgb.height() as usize);
+        let rgb = orientation.apply(rgb.data(0), rgb.stride(0), width, height);
+        Ok(Some(DecodedFrame { index, time_s, rgb }))
+    }
+
+    /// The shape fixed by the first picture; an error when this one differs.
+    fn shape_of(&mut self, picture: &frame::Video) -> Result<&Shape, DecodeError> {
+        let coded = (picture.width(), picture.height());
+        if let Some(shape) = self.shape.as_ref().filter(|shape| shape.coded != coded) {
+            return Err(DecodeError::undecodable(format!(
+                "the picture size changes from {}x{} to {}x{} at frame {}; split the clip there or re-encode it",
+                shape.coded.0,
+                shape.coded.1,
+                coded.0,
+                coded.1,
+                self.timeline.frames(),
+            )));
+        }
+        if self.shape.is_none() {
+            self.limits.check_size(coded.0.into(), coded.1.into())?;
+            let of_frame = picture.aspect_ratio();
+            let declared = match self.source.header.pixel_aspect {
+                (num, den) if num > 0 && den > 0 => (num, den),
+                _ => (of_frame.numerator(), of_frame.denominator()),
+            };
+            let aspect = convert::aspect(declared);
+            let square_width = convert::square_width(coded.0, aspect);
+            self.limits.check_size(square_width, coded.1.into())?;
+            let orientation = self.source.orientation.or_else(|| {
+                let matrix = picture.side_data(frame::side_data::Type::DisplayMatrix)?;
+                Some(Orientation::from_display_matrix(matrix.data()))
+            });
+            self.shape = Some(Shape {
+                coded,
+                square_width: u32::try_from(square_width).unwrap_or(u32::MAX),
+                aspect,
+                orientation: orientation.unwrap_or(Orientation::UPRIGHT),
+                pixel_format: convert::format_name(picture.format()),
+            });
+        }
+        self.shape
+            .as_ref()
+            .ok_or_else(|| DecodeError::undecodable(NOTHING_DECODES))
+    }
+
+    /// FFmpeg's best estimate of the presentation time; where the file has none, one nominal frame on.
+    fn ticks_of(&self, picture: &frame::Video) -> Result<i64, DecodeError> {
+        if let Some(ticks) = picture.timestamp() {
+            return Ok(ticks);
+        }
+        let Some(last) = self.timeline.last() else {
+            return Ok(0);
+        };
+        let rate = self
+            .source
+            .input
+            .stream(self.source.stream)
+            .map(|stream| f64::from(stream.avg_frame_rate()));
+        let interval = rate
+            .filter(|&rate| rate > 0.0)
+            .map(|rate| (1.0 / (rate * self.source.tick_s())).round_ties_even());
+        match interval.filter(|&interval| interval >= 1.0) {
+            Some(interval) => Ok(last.saturating_add(interval as i64)),
+            None => Err(DecodeError::undecodable(
+                "its frames carry no presentation times and it states no frame rate; remux it to mp4",
+            )),
+        }
+    }
+
+    /// Whether the clip came in full, and what it was.
+    fn finish(self, stopped_early: bool) -> Result<VideoInfo, DecodeError> {
+        let counts = &self.counts;
+        if !stopped_early {
+            self.check_complete()?;
+        }
+        let shape = self
+            .shape
+            .ok_or_else(|| DecodeError::undecodable(NOTHING_DECODES))?;
+        let (width, height) = shape
+            .orientation
+            .presented_size(shape.square_width as usize, shape.coded.1 as usize);
+        let (rotation_deg, mirrored) = shape.orientation.turn_and_mirror();
+        Ok(VideoInfo {
+            container: self.source.container.name().into(),
+            codec: self.decoder.id().name().into(),
+            pixel_format: shape.pixel_format,
+            width: width as u32,
+            height: height as u32,
+            coded_width: shape.coded.0,
+            coded_height: shape.coded.1,
+            sample_aspect_ratio: shape.aspect,
+            rotation_deg,
+            mirrored,
+            frames: self.timeline.frames(),
+            fps: self.timeline.fps(),
+            duration_s: self.timeline.duration_s(),
+            variable_frame_rate: self.timeline.is_variable(),
+            dropped_frames: counts.dropped,
+            damaged_frames: counts.damaged,
+            rejected_packets: counts.rejected,
+            stopped_early,
+        })
+    }
+
+    fn check_complete(&self) -> Result<(), DecodeError> {
+        let counts = &self.counts;
+        let declared = self.source.declared.or(self.source.structure.frames);
+        // Containers with an index are judged by it, so that a padded or trimmed tail is no fault.
+        let is_cut = match self.source.declared {
+            Some(samples) => counts.packets < samples,
+            None => self.source.structure.is_cut,
+        };
+        let of =
+            |total: Option<u64>| total.map_or_else(String::new, |total| format!(" of {total}"));
+        if is_cut || counts.read_failed {
+            let decoded = self.timeline.frames();
+            return Err(DecodeError::undecodable(format!(
+                "truncated: {decoded}{} frames decode; re-copy the file",
+                of(declared.filter(|&total| total >= u64::from(decoded))),
+            )));
+        }
+        let expected = declared.unwrap_or(counts.packets);
+        if counts.rejected > 0 && counts.pictures < expected {
+            return Err(DecodeError::undecodable(format!(
+                "damaged: {} of {expected} frames decode; re-copy the file or re-encode it",
+                counts.pictures,
+            )));
+        }
+        Ok(())
+    }
+}
+
+const NOTHING_DECODES: &str =
+    "no frame decodes; the file is damaged, so re-copy it or re-encode it";
+
+fn explain_open(error: Error, container: Container, structure: Structure) -> String {
+    let name = container.name();
+    if structure.is_cut {
+        return format!("truncated: the {name} file ends within its header; re-copy the file");
+    }
+    match error {
+        Error::DemuxerNotFound => {
+            format!("the installed FFmpeg cannot read {name}; install one built with it")
+        }
+        Error::Other { errno } if errno == ffmpeg_next::ffi::ENOMEM => {
+            format!(
+                "the {name} header asks for more memory than there is; the file is damaged, so re-copy it"
+            )
+        }
+        _ => format!("the {name} header is damaged; re-copy the file or re-encode it"),
+    }
+}
+
+fn explain_codec(error: Error, name: &str, tag: [u8; 4]) -> String {
+    let tag: String = tag
+        .iter()
+        .filter(|byte| byte.is_ascii_graphic())
+        .map(|&byte| char::from(byte))
+        .collect();
+    match error {
+        Error::DecoderNotFound => {
+            format!(
+                "the installed FFmpeg has no decoder for {name} ({tag}); install one or re-encode as H.264"
+            )
+        }
+        _ => format!(
+            "the {name} decoder refuses the stream's header; re-copy the file or re-encode it"
+        ),
+    }
+}

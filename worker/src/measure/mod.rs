@@ -1,0 +1,125 @@
+//! One video in, one row out.
+//!
+//! Frames stream through: decode, resize to the working size, optical flow to the frames before
+//! (forward and backward), end-point errors and signals per adjacent pair, motion models per edge;
+//! then the clip's numbers and its verdict (design, section 4). Memory is bounded by a few frames,
+//! whatever the length of the clip.
+
+mod assess;
+mod clip;
+mod read;
+mod thumbnail;
+mod verdict;
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use plumbline_common::message::{Job, Outcome};
+use plumbline_common::row::{Cost, Measurement, Status};
+
+use crate::decode::{DecodeError, VideoInfo};
+use crate::profile::Profile;
+use clip::{Clip, ClipError};
+use read::{Input, ReadError};
+
+/// Why there is no outcome at all: the job itself is wrong.
+#[derive(Debug, thiserror::Error)]
+pub enum MeasureError {
+    /// The profile is not one of this build's.
+    #[error(
+        "the job's profile does not decode: {0}; coordinator and worker must be of one version"
+    )]
+    Profile(#[from] serde_json::Error),
+}
+
+/// Measures one video. Whatever is wrong with the video becomes a typed row.
+///
+/// # Errors
+/// [`MeasureError`], when the job is wrong.
+pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
+    let profile: Profile = serde_json::from_slice(&job.profile)?;
+    let started = Instant::now();
+    let mut clip = Clip::new(&profile);
+    let mut cost = Cost::default();
+    let input = Input::open(job, &profile.limits);
+    let measurement = match &input {
+        Ok(input) => {
+            let mut row = match stream(input, &profile, &mut clip) {
+                Ok(info) => clip.finish(&info),
+                Err(refused) => refused.row(),
+            };
+            row.digest = Some(input.digest.clone());
+            row.bytes = Some(job.bytes);
+            row
+        }
+        Err(error) => error.row(job),
+    };
+    cost.total_s = started.elapsed().as_secs_f64();
+    cost.flow_s = clip.spent.flow.as_secs_f64();
+    cost.signals_s = clip.spent.signals.as_secs_f64();
+    cost.geometry_s = clip.spent.geometry.as_secs_f64();
+    cost.decode_s = (cost.total_s - cost.flow_s - cost.signals_s - cost.geometry_s).max(0.0);
+    Ok(Outcome {
+        video: job.video.clone(),
+        measurement,
+        cost,
+        thumbnails: clip.thumbnails(),
+    })
+}
+
+/// Why a readable video gives no numbers.
+enum Refused {
+    Decode(DecodeError),
+    Clip(ClipError),
+}
+
+fn stream(input: &Input, profile: &Profile, clip: &mut Clip<'_>) -> Result<VideoInfo, Refused> {
+    let mut refused = None;
+    let info = input.decode(profile, &mut |frame| match clip.push(frame) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(error) => {
+            refused = Some(error);
+            ControlFlow::Break(())
+        }
+    });
+    match (info, refused) {
+        (_, Some(error)) => Err(Refused::Clip(error)),
+        (Err(error), None) => Err(Refused::Decode(error)),
+        (Ok(info), None) => Ok(info),
+    }
+}
+
+impl Refused {
+    fn row(&self) -> Measurement {
+        match self {
+            Self::Decode(error) => Measurement::without_score(status_of(error), error.to_string()),
+            Self::Clip(error @ ClipError::Aspect { .. }) => {
+                Measurement::without_score(Status::OverLimit, error.to_string())
+            }
+            Self::Clip(error) => Measurement::without_score(Status::Failed, error.to_string()),
+        }
+    }
+}
+
+impl ReadError {
+    fn row(&self, job: &Job) -> Measurement {
+        let status = match self {
+            Self::Decode(error) => status_of(error),
+            Self::Changed { .. } => Status::Failed,
+        };
+        let mut row = Measurement::without_score(status, self.to_string());
+        row.bytes = Some(job.bytes);
+        row
+    }
+}
+
+fn status_of(error: &DecodeError) -> Status {
+    match error {
+        DecodeError::OverLimit { .. } => Status::OverLimit,
+        DecodeError::Io { .. } | DecodeError::InvalidRate { .. } => Status::Failed,
+        DecodeError::Undecodable { .. }
+        | DecodeError::NoVideoStream
+        | DecodeError::NotAVideo { .. }
+        | DecodeError::Empty { .. } => Status::Undecodable,
+    }
+}

@@ -1,0 +1,163 @@
+//! Profiles: every knob of a measurement in one struct, hashed into every result.
+
+use plumbline_vision::consistency::ConsistencyParams;
+use plumbline_vision::flow::dis::DisParams;
+use plumbline_vision::scene::{GridParams, TwoViewParams};
+use plumbline_vision::signals::SignalParams;
+use serde::{Deserialize, Serialize};
+
+use crate::decode::DecodeLimits;
+
+/// Raised whenever the same parameters begin to give other numbers, so that old results are not
+/// taken for new ones.
+pub const MEASURE_VERSION: u32 = 1;
+
+/// A rung of the speed/accuracy ladder (design, section 6).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rung {
+    /// Triage.
+    Draft,
+    /// Overnight.
+    Standard,
+    /// Decisions.
+    Accurate,
+}
+
+impl Rung {
+    /// The name used on the command line and in every output.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Draft => "draft",
+            Self::Standard => "standard",
+            Self::Accurate => "accurate",
+        }
+    }
+}
+
+/// Everything that decides what a video's numbers are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Profile {
+    /// [`MEASURE_VERSION`] of the build.
+    pub measure_version: u32,
+    /// Which rung it started from.
+    pub rung: Rung,
+    /// Frames are resized to this height (aspect kept), px.
+    pub working_height_px: u32,
+    /// Optical flow.
+    pub flow: DisParams,
+    /// End-point errors and evidence.
+    pub consistency: ConsistencyParams,
+    /// P, T and motion.
+    pub signals: SignalParams,
+    /// Frame distances of the edges that geometry looks at, ascending; 1 is always measured.
+    pub edge_spans: Vec<u32>,
+    /// Grid of the geometric measure.
+    pub grid: GridParams,
+    /// Motion models and their selection.
+    pub two_view: TwoViewParams,
+    /// Leading frames left out of every statistic: frame 0 of a generated rollout is often the real
+    /// conditioning frame.
+    pub conditioning_frames: u32,
+    /// Frames up to this index are not candidates for t* (the paper uses 7).
+    pub warmup_frames: u32,
+    /// Frames per second of a directory of numbered images, which carries no times.
+    pub sequence_fps: f64,
+    /// How large a video may be.
+    pub limits: DecodeLimits,
+    /// When a clip is not judged.
+    pub verdict: VerdictParams,
+}
+
+/// When a clip gets a typed verdict instead of a score.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VerdictParams {
+    /// Fewer usable frames (after the conditioning frames) are `too_short`: three frames give two
+    /// pairs, the least from which a change can be told.
+    pub min_frames: u32,
+    /// A pair counts as moving when this share of its pixels moves by more than 1 px. The signals
+    /// need about 100 px of a 128-px-high grid (0.6%).
+    pub min_moving_fraction: f64,
+    /// Fewer moving pairs are `static`: the signals are medians, which need three.
+    pub min_moving_pairs: u32,
+    /// A pair with a smaller share of consistent correspondences is `collapsed`.
+    pub min_consistent_fraction: f64,
+}
+
+impl Default for VerdictParams {
+    fn default() -> Self {
+        Self {
+            min_frames: 3,
+            min_moving_fraction: 0.006,
+            min_moving_pairs: 3,
+            min_consistent_fraction: 0.05,
+        }
+    }
+}
+
+impl Profile {
+    /// The profile of a rung.
+    #[must_use]
+    pub fn new(rung: Rung) -> Self {
+        let (working_height_px, finest_scale, edge_spans) = match rung {
+            Rung::Draft => (128, 2, vec![1]),
+            Rung::Standard => (256, 1, vec![1, 2]),
+            Rung::Accurate => (512, 0, vec![1, 2, 3]),
+        };
+        Self {
+            measure_version: MEASURE_VERSION,
+            rung,
+            working_height_px,
+            flow: DisParams::ultrafast(finest_scale),
+            consistency: ConsistencyParams::default(),
+            signals: SignalParams::default(),
+            edge_spans,
+            // The grid of dense bundle adjustment at 256 px; the same points at every rung.
+            grid: GridParams {
+                step: working_height_px as usize / 32,
+            },
+            two_view: TwoViewParams::default(),
+            conditioning_frames: 1,
+            warmup_frames: 7,
+            sequence_fps: 10.0,
+            limits: DecodeLimits::default(),
+            verdict: VerdictParams::default(),
+        }
+    }
+
+    /// The form that is hashed and that travels: JSON with fields in declaration order.
+    ///
+    /// # Errors
+    /// When a float is not finite.
+    pub fn canonical(&self) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(self)
+    }
+
+    /// BLAKE3 of the canonical form, hex.
+    ///
+    /// # Errors
+    /// As [`Self::canonical`].
+    pub fn digest(&self) -> Result<String, serde_json::Error> {
+        Ok(blake3::hash(&self.canonical()?).to_hex().to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_digest_follows_every_knob_and_survives_the_wire() {
+        let standard = Profile::new(Rung::Standard);
+        let digest = standard.digest().unwrap();
+        let mut other = standard.clone();
+        other.verdict.min_moving_fraction = 0.007;
+        assert_ne!(other.digest().unwrap(), digest);
+        let back: Profile = serde_json::from_slice(&standard.canonical().unwrap()).unwrap();
+        assert_eq!(back, standard);
+        assert_eq!(back.digest().unwrap(), digest);
+    }
+}

@@ -1,0 +1,167 @@
+//! A clip's geometry: what its edges say together.
+//!
+//! Each model's GRIC is summed over the edges (they are independent data), and the least sum
+//! gives the clip's verdict. The clip's residual, its series and its heat maps are all taken under
+//! that *one* model, on every edge, so that they are one quantity. px of a 256-px-high picture.
+
+use serde::{Deserialize, Serialize};
+
+use super::evidence::{Method, ModelEvidence, ModelFit, MotionModel, PerModel, SceneKind};
+
+/// What the models leave unexplained on one frame pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EdgeGeometry {
+    /// Source frame.
+    pub from_frame: usize,
+    /// Target frame.
+    pub to_frame: usize,
+    /// Grid columns.
+    pub columns: usize,
+    /// Grid rows.
+    pub rows: usize,
+    /// Row-major index of each valid cell; `n` is their number.
+    pub cells: Vec<u32>,
+    /// Sum of the cells' weights.
+    pub weight: f64,
+    /// The model of least GRIC for this edge alone (the clip may decide otherwise).
+    pub model: MotionModel,
+    /// Mean residual over all valid cells under `model`, px.
+    pub residual_px: f64,
+    /// Fraction of valid cells, by weight, that `model` explains.
+    pub inlier_fraction: f64,
+    /// What is known of each model.
+    pub evidence: PerModel<ModelEvidence>,
+}
+
+impl EdgeGeometry {
+    /// Number of valid cells.
+    #[must_use]
+    pub fn n(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// The fit of `model`, if it was fitted.
+    #[must_use]
+    pub fn fit(&self, model: MotionModel) -> Option<&ModelFit> {
+        self.evidence.get(model).fit()
+    }
+
+    /// Residual of every grid cell under `model`, `[rows, columns]` row-major, `None` where the
+    /// cell is not valid; `None` if the model was not fitted. For heat maps.
+    #[must_use]
+    pub fn residual_map_px(&self, model: MotionModel) -> Option<Vec<Option<f32>>> {
+        let fit = self.fit(model)?;
+        let mut map = vec![None; self.columns * self.rows];
+        for (&cell, &residual) in self.cells.iter().zip(&fit.residuals_px) {
+            if let Some(slot) = map.get_mut(cell as usize) {
+                *slot = Some(residual);
+            }
+        }
+        Some(map)
+    }
+}
+
+/// The residual of one frame: all edges whose later frame it is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FrameResidual {
+    /// The later frame of the edges.
+    pub frame: usize,
+    /// Mean over all valid cells of those edges, px.
+    pub residual_px: f64,
+    /// Number of those cells.
+    pub cells: usize,
+}
+
+/// What was fitted, and what was provably not needed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Work {
+    /// Edges judged.
+    pub edges: usize,
+    /// Edges with too few valid cells.
+    pub edges_rejected: usize,
+    /// Homographies estimated.
+    pub homographies_fitted: usize,
+    /// Homographies not estimated.
+    pub homographies_skipped: usize,
+    /// Fundamental matrices estimated.
+    pub fundamentals_fitted: usize,
+    /// Fundamental matrices not estimated.
+    pub fundamentals_skipped: usize,
+}
+
+/// The geometric verdict of a clip and the residual it leaves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ClipGeometry {
+    /// How it was found.
+    pub method: Method,
+    /// The verdict.
+    pub scene: SceneKind,
+    /// The model class behind it.
+    pub model: MotionModel,
+    /// Sum of each model's GRIC over the edges, margin included, nats: a lower bound for a model
+    /// that was skipped on some edge, infinite for one that is unfit on some edge.
+    pub gric: PerModel<f64>,
+    /// Mean residual over all valid cells of all edges under `model`, px.
+    pub residual_px: f64,
+    /// Valid cells of all edges.
+    pub cells: usize,
+    /// e_t by later frame, increasing, under `model`.
+    pub series: Vec<FrameResidual>,
+    /// The edges, in the order given.
+    pub edges: Vec<EdgeGeometry>,
+    /// The work done and saved.
+    pub work: Work,
+}
+
+impl ClipGeometry {
+    /// Sums up edges under `model`. `None` without edges, or if `model` was not fitted on one.
+    #[must_use]
+    pub fn summarise(
+        method: Method,
+        model: MotionModel,
+        gric: PerModel<f64>,
+        edges: Vec<EdgeGeometry>,
+        work: Work,
+    ) -> Option<Self> {
+        if edges.is_empty() {
+            return None;
+        }
+        // (later frame, sum of residuals, cells), in the order of the edges within a frame.
+        let mut sums = edges
+            .iter()
+            .map(|e| {
+                Some((
+                    e.from_frame.max(e.to_frame),
+                    e.fit(model)?.residual_px * e.n() as f64,
+                    e.n(),
+                ))
+            })
+            .collect::<Option<Vec<_>>>()?;
+        sums.sort_by_key(|&(frame, _, _)| frame);
+        let series: Vec<FrameResidual> = sums
+            .chunk_by(|a, b| a.0 == b.0)
+            .map(|group| {
+                let cells = group.iter().map(|g| g.2).sum::<usize>();
+                let total: f64 = group.iter().map(|g| g.1).sum();
+                FrameResidual {
+                    frame: group[0].0,
+                    residual_px: total / cells as f64,
+                    cells,
+                }
+            })
+            .collect();
+        let cells = sums.iter().map(|s| s.2).sum::<usize>();
+        let total: f64 = sums.iter().map(|s| s.1).sum();
+        Some(Self {
+            method,
+            scene: model.into(),
+            model,
+            gric,
+            residual_px: total / cells as f64,
+            cells,
+            series,
+            edges,
+            work,
+        })
+    }
+}
