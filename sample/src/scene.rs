@@ -87,7 +87,7 @@ pub struct Scene {
 pub(crate) const LOOK_AT_M: Vec3 = vec3(0.0, 0.1, 0.1);
 /// Amplitude of the turning camera: about 2 px per frame at 256 px width and 32 frames.
 const PAN_AMPLITUDE_RAD: f64 = 0.11;
-/// Path of the travelling camera: about 3 px per frame on the table at the same size.
+/// Path of the travelling camera: about 2 px per frame at the same size.
 const DOLLY_LENGTH_M: f64 = 0.5;
 impl Scene {
     /// Centre of the bystander, metres: the place of local faults.

@@ -3,9 +3,9 @@
 
 use plumbline_common::row::{Decision, Row};
 
-use crate::publish::scores::decision_name;
 use crate::publish::table::Kind::{Float64, Text, UInt64};
 use crate::publish::table::{Column, carried_columns};
+use crate::reduce::decision_name;
 
 /// A row and where its video lies.
 #[derive(Debug, Clone, Copy)]

@@ -27,6 +27,7 @@ pub use encode::Format;
 pub use error::PublishError;
 pub use out_dir::OutDir;
 
+use crate::reduce::decision_name;
 use crate::reduce::rewards::Reward;
 use manifests::DECISIONS;
 use table::Column;
@@ -97,14 +98,21 @@ pub fn publish(
     put_table(out, "costs", &columns, run.costs, &costs, &mut written)?;
     let columns = manifests::manifest_columns(run.rows);
     for decision in DECISIONS {
-        let stem = format!("manifests/{}", scores::decision_name(decision));
+        let stem = format!("manifests/{}", decision_name(decision));
         let rows = manifests::manifest_rows(decision, run.rows, run.locations);
         let formats = also(Format::Jsonl);
         put_table(out, &stem, &columns, &rows, &formats, &mut written)?;
     }
     let columns = rewards::reward_columns();
     let formats = also(Format::Parquet);
-    put_table(out, "rewards", &columns, run.rewards, &formats, &mut written)?;
+    put_table(
+        out,
+        "rewards",
+        &columns,
+        run.rewards,
+        &formats,
+        &mut written,
+    )?;
     match run.report_html {
         Some(report) => {
             out.put_atomic(REPORT_FILE, report.as_bytes())?;

@@ -236,10 +236,7 @@ mod tests {
         let out = OutDir::create(root.path()).unwrap();
         fs::create_dir_all(root.path().join("scores.csv/inside")).unwrap();
         let error = out.put_atomic("scores.csv", b"x").unwrap_err();
-        assert!(
-            matches!(error, PublishError::InTheWay { .. }),
-            "{error:?}"
-        );
+        assert!(matches!(error, PublishError::InTheWay { .. }), "{error:?}");
         assert!(error.to_string().contains("scores.csv"));
         assert_eq!(names(root.path()), ["scores.csv"]);
     }
@@ -250,10 +247,7 @@ mod tests {
         let out = OutDir::create(root.path()).unwrap();
         fs::write(root.path().join("manifests"), b"mine").unwrap();
         let error = out.put_atomic("manifests/keep.jsonl", b"x").unwrap_err();
-        assert!(
-            matches!(error, PublishError::InTheWay { .. }),
-            "{error:?}"
-        );
+        assert!(matches!(error, PublishError::InTheWay { .. }), "{error:?}");
         assert_eq!(fs::read(root.path().join("manifests")).unwrap(), b"mine");
     }
 
@@ -295,7 +289,12 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn a_full_disk_is_no_space_even_where_the_encoder_swallows_the_cause() {
-        let full = || fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let full = || {
+            fs::OpenOptions::new()
+                .write(true)
+                .open("/dev/full")
+                .unwrap()
+        };
         // Larger than the buffer, so that the write fails inside the encoder...
         let inside = fill(full(), "scores.jsonl", |out| {
             out.write_all(&vec![b'x'; 1 << 20])

@@ -1,10 +1,11 @@
 //! `scores.*`: one row per input video; the columns of design section 7, flat, in their order.
 //! The series behind the means are not columns.
 
-use plumbline_common::row::{Decision, GeometryMethod, Row, Scene};
+use plumbline_common::row::{GeometryMethod, Row, Scene};
 
 use crate::publish::table::Kind::{Bool, Float64, Text, UInt32, UInt64};
 use crate::publish::table::{Cell, Column, carried_columns};
+use crate::reduce::decision_name;
 
 /// The columns of `scores.*` for these rows: ours, with the carried columns after `group`.
 #[must_use]
@@ -111,16 +112,6 @@ pub fn scene_name(scene: Scene) -> &'static str {
     }
 }
 
-/// The name of a decision in every output, and of its manifest.
-#[must_use]
-pub fn decision_name(decision: Decision) -> &'static str {
-    match decision {
-        Decision::Keep => "keep",
-        Decision::Drop => "drop",
-        Decision::Review => "review",
-    }
-}
-
 fn method_name(method: GeometryMethod) -> &'static str {
     match method {
         GeometryMethod::TwoViewGric => "two_view_gric",
@@ -135,12 +126,6 @@ mod tests {
     fn names_are_those_of_the_wire() {
         for scene in [Scene::StaticCamera, Scene::Rotation, Scene::Parallax] {
             assert_eq!(serde_json::to_value(scene).unwrap(), scene_name(scene));
-        }
-        for decision in [Decision::Keep, Decision::Drop, Decision::Review] {
-            assert_eq!(
-                serde_json::to_value(decision).unwrap(),
-                decision_name(decision)
-            );
         }
         let method = GeometryMethod::TwoViewGric;
         assert_eq!(serde_json::to_value(method).unwrap(), method_name(method));

@@ -284,7 +284,10 @@ mod tests {
     #[test]
     fn colliding_names_are_prefixed_until_free() {
         let rows = [json!({"status": 1, "carried_status": 2, "mine": 3})];
-        let names: Vec<_> = columns(&rows, &["status"]).into_iter().map(|c| c.1).collect();
+        let names: Vec<_> = columns(&rows, &["status"])
+            .into_iter()
+            .map(|c| c.1)
+            .collect();
         assert_eq!(names, ["carried_carried_status", "carried_status", "mine"]);
     }
 

@@ -96,7 +96,10 @@ fn rows() -> Vec<Row> {
             json!({"prompt": "pick, \"up\"\nnow", "seed": 7, "ok": true, "tags": ["x", "y"],
                    "mixed": 1, "status": "mine", "weight": 1, "nothing": null}),
         ),
-        row("b/2.mp4", json!({"seed": -8, "weight": 0.1, "mixed": "one"})),
+        row(
+            "b/2.mp4",
+            json!({"seed": -8, "weight": 0.1, "mixed": "one"}),
+        ),
         row("c/<é>.mp4", json!({})),
     ]
 }
@@ -224,7 +227,12 @@ fn csv_quotes_by_rfc_4180() {
     assert!(text.contains(line), "{text}");
 
     let mut reader = ::csv::Reader::from_reader(bytes.as_slice());
-    let header: Vec<_> = reader.headers().unwrap().iter().map(str::to_owned).collect();
+    let header: Vec<_> = reader
+        .headers()
+        .unwrap()
+        .iter()
+        .map(str::to_owned)
+        .collect();
     let json = jsonl(&to_bytes(Format::Jsonl, &columns, &rows).unwrap());
     for (record, json) in reader.records().map(Result::unwrap).zip(&json) {
         for (name, field) in header.iter().zip(record.iter()) {
@@ -386,9 +394,7 @@ fn manifests_split_the_rows_and_share_one_schema() {
             "prompt"
         ]
     );
-    let schema = |name: &str| {
-        opened(&files[name]).schema().clone()
-    };
+    let schema = |name: &str| opened(&files[name]).schema().clone();
     assert_eq!(
         schema("manifests/keep.parquet"),
         schema("manifests/drop.parquet")
@@ -462,14 +468,11 @@ fn corpus_json_reads_back_and_refuses_what_is_not_finite() {
     assert_eq!(value["recipe"], json!("paper"), "statistics are flattened");
     assert!(bytes.ends_with(b"}\n"));
 
-    file.statistics
-        .groups
-        .values_mut()
-        .for_each(|population| {
-            population
-                .weights
-                .insert("aepe_worldscore_px".to_owned(), f64::NAN);
-        });
+    file.statistics.groups.values_mut().for_each(|population| {
+        population
+            .weights
+            .insert("aepe_worldscore_px".to_owned(), f64::NAN);
+    });
     let error = corpus::corpus_json(&file).unwrap_err();
     assert!(
         error

@@ -71,10 +71,11 @@ impl Axis {
         if !(decade.is_finite() && decade > 0.0) {
             return Vec::new();
         }
+        // A little denser than asked is better than half as dense.
         let step = [1.0, 2.0, 5.0, 10.0]
             .into_iter()
             .map(|factor| factor * decade)
-            .find(|step| *step >= rough)
+            .find(|step| *step >= rough * 0.8)
             .unwrap_or(rough);
         let first = libm::ceil(self.lo / step);
         let decimals = if step < 1.0 && step > 1e-4 {

@@ -6,7 +6,7 @@ use maud::{Markup, html};
 use super::axis::{Axis, as_float, median};
 use super::page::Section;
 use super::series::tenth;
-use super::{Judged, ReportInput, text};
+use super::{Judged, text};
 use crate::reduce::outcome::SignalStatistics;
 
 /// Groups drawn; more would be a wall.
@@ -18,7 +18,7 @@ const BINS: usize = 30;
 const WIDTH: f64 = 300.0;
 const HEIGHT: f64 = 84.0;
 
-pub(super) fn section(_input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
+pub(super) fn section(judged: &Judged<'_>) -> Section {
     let axis = Axis::trimmed(judged.worst_first.iter().map(|scored| scored.anomaly));
     Section {
         id: "groups",
@@ -79,7 +79,7 @@ fn panel(name: &Markup, worst_first: &[f64], axis: Axis, class: &str) -> Markup 
     html! {
         figure class={ "panel " (class) } {
             figcaption { span.name { (name) } span.quiet { (text::length(worst_first.len())) } }
-            (histogram(&counts, axis, middle))
+            (histogram(&counts, axis, middle, 4))
             p.quiet { "median " (text::signed(middle)) }
         }
     }
@@ -89,11 +89,11 @@ fn panel(name: &Markup, worst_first: &[f64], axis: Axis, class: &str) -> Markup 
 pub(super) fn signal_histogram(signal: &SignalStatistics) -> Option<Markup> {
     let (lo, hi) = (*signal.edges.first()?, *signal.edges.last()?);
     let axis = Axis::spanning(lo, hi);
-    Some(histogram(&signal.counts, axis, signal.mean))
+    Some(histogram(&signal.counts, axis, signal.mean, 7))
 }
 
-/// Bars over `axis`, a line at `mark`, and ticks below.
-fn histogram(counts: &[u64], axis: Axis, mark: Option<f64>) -> Markup {
+/// Bars over `axis`, a line at `mark`, and about `ticks` ticks below.
+fn histogram(counts: &[u64], axis: Axis, mark: Option<f64>, ticks: usize) -> Markup {
     let highest = counts.iter().copied().max().unwrap_or(0).max(1);
     let bar = WIDTH / as_float(counts.len().max(1));
     // A bar never vanishes: a single outlier among thousands must show.
@@ -117,7 +117,7 @@ fn histogram(counts: &[u64], axis: Axis, mark: Option<f64>) -> Markup {
                 }
             }
             div.ticks aria-hidden="true" {
-                @for (value, label) in axis.ticks(4) {
+                @for (value, label) in axis.ticks(ticks) {
                     span style={ "left:" (tenth(axis.position(value) * 100.0)) "%" } { (label) }
                 }
             }

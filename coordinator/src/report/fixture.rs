@@ -125,7 +125,12 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
     let mut order: Vec<usize> = (0..rows.len())
         .filter(|index| rows[*index].anomaly.is_some())
         .collect();
-    order.sort_by(|a, b| rows[*a].anomaly.unwrap().total_cmp(&rows[*b].anomaly.unwrap()));
+    order.sort_by(|a, b| {
+        rows[*a]
+            .anomaly
+            .unwrap()
+            .total_cmp(&rows[*b].anomaly.unwrap())
+    });
     for (place, index) in order.iter().enumerate() {
         rows[*index].rank = Some(place as u64 + 1);
         rows[*index].decision = if place * 5 < order.len() * 4 {
@@ -266,9 +271,18 @@ pub(super) fn rollouts(videos: usize, groups: usize) -> Vec<Row> {
                 ..blank(&video)
             };
             match index % 47 {
-                11 => failed(Status::Static, "too little motion to judge: the moving area is below 1% of the picture"),
-                23 => failed(Status::Undecodable, "no complete video: the moov box is missing; write the file again"),
-                41 if index % 3 == 0 => failed(Status::TooShort, "6 frames, but 10 are needed: record longer clips"),
+                11 => failed(
+                    Status::Static,
+                    "too little motion to judge: the moving area is below 1% of the picture",
+                ),
+                23 => failed(
+                    Status::Undecodable,
+                    "no complete video: the moov box is missing; write the file again",
+                ),
+                41 if index % 3 == 0 => failed(
+                    Status::TooShort,
+                    "6 frames, but 10 are needed: record longer clips",
+                ),
                 _ => row,
             }
         })
@@ -279,7 +293,7 @@ pub(super) fn rollouts(videos: usize, groups: usize) -> Vec<Row> {
 pub(super) fn thumbnails(video: &VideoId) -> Option<Thumbnails> {
     let seed = video.as_str().bytes().map(u32::from).sum::<u32>();
     let jpeg = |paint: &dyn Fn(u32, u32) -> [u8; 3]| {
-        let picture = image::RgbImage::from_fn(320, 240, |x, y| image::Rgb(paint(x, y)));
+        let picture = image::RgbImage::from_fn(160, 120, |x, y| image::Rgb(paint(2 * x, 2 * y)));
         let mut bytes = std::io::Cursor::new(Vec::new());
         picture
             .write_to(&mut bytes, image::ImageFormat::Jpeg)

@@ -104,7 +104,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
     let sections = [
         overview::section(input),
         ranking::worst(input, &judged),
-        distribution::section(input, &judged),
+        distribution::section(&judged),
         motion::section(&judged),
         measures::section(input.corpus),
         ranking::best(input, &judged),

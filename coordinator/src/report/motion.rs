@@ -142,10 +142,21 @@ fn mark(series: usize, x: f64, y: f64) -> String {
     let r = MARK;
     let at = |dx: f64, dy: f64| format!("{} {}", tenth(x + dx), tenth(y + dy));
     match series {
-        0 => format!("M{}a{r} {r} 0 1 0 {} 0a{r} {r} 0 1 0 -{} 0z", at(-r, 0.0), 2.0 * r, 2.0 * r),
+        0 => format!(
+            "M{}a{r} {r} 0 1 0 {} 0a{r} {r} 0 1 0 -{} 0z",
+            at(-r, 0.0),
+            2.0 * r,
+            2.0 * r
+        ),
         1 => format!("M{}h{}v{}h-{}z", at(-r, -r), 2.0 * r, 2.0 * r, 2.0 * r),
         2 => format!("M{}L{}L{}z", at(0.0, -r), at(r, r), at(-r, r)),
-        3 => format!("M{}L{}L{}L{}z", at(0.0, -r * 1.3), at(r * 1.3, 0.0), at(0.0, r * 1.3), at(-r * 1.3, 0.0)),
+        3 => format!(
+            "M{}L{}L{}L{}z",
+            at(0.0, -r * 1.3),
+            at(r * 1.3, 0.0),
+            at(0.0, r * 1.3),
+            at(-r * 1.3, 0.0)
+        ),
         4 => format!("M{}L{}L{}z", at(0.0, r), at(r, -r), at(-r, -r)),
         5 => format!("M{}h{}v{}h-{}z", at(-r, -r / 2.0), 2.0 * r, r, 2.0 * r),
         _ => format!("M{}h{}v{}h-{}z", at(-r / 2.0, -r / 2.0), r, r, r),

@@ -4,7 +4,8 @@ use maud::{Markup, html};
 
 use super::page::Section;
 use super::{CostSummary, ReportInput, text};
-use crate::reduce::outcome::{Range, Recipe};
+use crate::reduce::outcome::Range;
+use crate::reduce::recipe_name;
 
 /// Most characters of profile parameters on the page; corpus.json has them whole.
 const PARAMETER_CHARS: usize = 20_000;
@@ -14,10 +15,6 @@ const ENTRIES: usize = 40;
 pub(super) fn section(input: &ReportInput<'_>) -> Section {
     let corpus = input.corpus;
     let statistics = &corpus.statistics;
-    let recipe = match statistics.recipe {
-        Recipe::Paper => "paper",
-        Recipe::Balanced => "balanced",
-    };
     let range = match statistics.range {
         Range::Full => "full range",
         Range::Winsorised => "0.5–99.5% range",
@@ -37,7 +34,7 @@ pub(super) fn section(input: &ReportInput<'_>) -> Section {
                 (entry("Version", html! { (corpus.plumbline_version) }))
                 (entry("Profile", html! { (text::name(&corpus.profile.name)) }))
                 (entry("Profile digest", html! { code { (text::visible(&corpus.profile.digest)) } }))
-                (entry("Recipe", html! { (recipe) }))
+                (entry("Recipe", html! { (recipe_name(statistics.recipe)) }))
                 (entry("Keep rule", html! { code { (text::visible(&statistics.keep)) } }))
                 (entry("Histogram", html! { (statistics.bins) " bins, " (range) }))
                 (entry("Left out", html! { (corpus.conditioning_frames) " leading frame" @if corpus.conditioning_frames != 1 { "s" } " of each video (conditioning)" }))

@@ -21,7 +21,7 @@ pub(super) fn worst(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
             html! { p.lead { "No video has a score, so there is no ranking. The reasons stand under “Not scored”." } }
         } else {
             html! {
-                p.lead { "The " (text::length(shown)) " highest anomaly scores. Picture: the frame with the largest jump of the reprojection error, beside it where the residual lies. The bar is the 90% interval." }
+                p.lead { "The " (text::length(shown)) " highest anomaly scores. Picture: the frame with the largest jump of the reprojection error, beside it where the residual lies. The bar is the 90% interval, its tick stands at 0." }
                 (cards(input, judged, videos.iter()))
             }
         }),
@@ -88,7 +88,7 @@ fn card(scored: &Scored<'_>, axis: Axis, thumbnails: Option<Thumbnails>) -> Mark
         article.clip {
             (pictures(thumbnails))
             div.what {
-                h3 { (text::name(row.video.as_str())) }
+                h3 { (text::heading(row.video.as_str())) }
                 p.where {
                     @if let Some(rank) = row.rank { "rank " (text::count(rank)) }
                     @if row.group.is_some() { " · " (text::group(row.group.as_deref())) }
@@ -140,9 +140,8 @@ fn interval(scored: &Scored<'_>, axis: Axis) -> Markup {
     let x = |value: f64| tenth(axis.position(value) * WIDTH);
     let row = scored.row;
     let ends = row.anomaly_lo.zip(row.anomaly_hi);
-    let label = ends.map(|(lo, hi)| {
-        format!("{} to {}", text::signed(Some(lo)), text::signed(Some(hi)))
-    });
+    let label =
+        ends.map(|(lo, hi)| format!("{} to {}", text::signed(Some(lo)), text::signed(Some(hi))));
     html! {
         div.interval {
             svg viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } preserveAspectRatio="none" aria-hidden="true" {

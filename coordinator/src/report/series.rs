@@ -48,7 +48,7 @@ pub(super) fn sparkline(measured: &Measurement) -> Markup {
             figcaption {
                 @for (class, label, values) in &lines {
                     @if let Some(max) = maximum(values) {
-                        span class=(class) { (label) " max " (text::magnitude(Some(max))) " px" }
+                        span class=(class) { (label) " 0–" (text::magnitude(Some(max))) " px" }
                     }
                 }
                 span.frames { "frames " (first) "–" (last) }

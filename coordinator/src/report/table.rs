@@ -4,7 +4,8 @@ use maud::{Markup, html};
 
 use super::page::Section;
 use super::{Judged, Scored, text};
-use crate::publish::scores::{decision_name, scene_name};
+use crate::publish::scores::scene_name;
+use crate::reduce::decision_name;
 
 /// Rows on the page: what a browser sorts at once and a reader still searches.
 const ROWS: usize = 2_000;
@@ -19,7 +20,7 @@ const HEADINGS: [(&str, bool); 15] = [
     ("5%", true),
     ("95%", true),
     ("z reproj.", true),
-    ("z end-pt.", true),
+    ("z end\u{2011}pt.", true),
     ("z piecew.", true),
     ("z appear.", true),
     ("Motion px", true),

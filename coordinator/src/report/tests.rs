@@ -47,21 +47,45 @@ fn pages_to_look_at() {
     let put = |name: &str, html: String| std::fs::write(folder.join(name), html).unwrap();
     put(
         "usual.html",
-        page("rollouts/2026-05", rollouts(640, 6), Recipe::Paper, &WARNINGS),
+        page(
+            "rollouts/2026-05",
+            rollouts(640, 6),
+            Recipe::Paper,
+            &WARNINGS,
+        ),
     );
     let mut rows = rollouts(120, 3);
     hostile(&mut rows);
     put(
         "hostile.html",
-        page("<script>\u{202e}x</script>", rows, Recipe::Balanced, &["<b>w</b>"]),
+        page(
+            "<script>\u{202e}x</script>",
+            rows,
+            Recipe::Balanced,
+            &["<b>w</b>"],
+        ),
     );
     put(
         "large.html",
-        page("s3://rollouts/all", rollouts(10_000, 40), Recipe::Balanced, &[]),
+        page(
+            "s3://rollouts/all",
+            rollouts(10_000, 40),
+            Recipe::Balanced,
+            &[],
+        ),
     );
-    put("single.html", page("one", rollouts(1, 0), Recipe::Paper, &[]));
-    put("plain.html", page("flat/", rollouts(40, 0), Recipe::Paper, &[]));
-    put("empty.html", page("nothing/", unscored(), Recipe::Paper, &[]));
+    put(
+        "single.html",
+        page("one", rollouts(1, 0), Recipe::Paper, &[]),
+    );
+    put(
+        "plain.html",
+        page("flat/", rollouts(40, 0), Recipe::Paper, &[]),
+    );
+    put(
+        "empty.html",
+        page("nothing/", unscored(), Recipe::Paper, &[]),
+    );
 }
 
 fn unscored() -> Vec<Row> {
@@ -120,7 +144,12 @@ fn one_or_two_videos_are_not_shown_twice() {
 fn hostile_names_are_only_text() {
     let mut rows = rollouts(30, 3);
     hostile(&mut rows);
-    let html = page("<script>alert(0)</script>", rows, Recipe::Paper, &["<b>bold</b>"]);
+    let html = page(
+        "<script>alert(0)</script>",
+        rows,
+        Recipe::Paper,
+        &["<b>bold</b>"],
+    );
     // The page's own script and style, and no other.
     assert_eq!(html.matches("<script").count(), 1);
     assert_eq!(html.matches("<style").count(), 1);
@@ -132,7 +161,7 @@ fn hostile_names_are_only_text() {
     assert!(html.contains("&amp;lt;b&amp;gt;already"));
     let longest = "very_long_folder_".repeat(8);
     assert!(html.contains("end_of_a_long_name.mp4"));
-    let heading = format!("<h3><bdi>{longest}");
+    let heading = format!(">{longest}");
     assert!(!html.contains(&heading), "long names are shortened");
 }
 
@@ -144,7 +173,10 @@ fn asks_for_nothing_from_outside() {
         assert!(!html.contains(request), "{request}");
     }
     let sources = html.matches(" src=\"").count();
-    assert_eq!(sources, html.matches(" src=\"data:image/jpeg;base64,").count());
+    assert_eq!(
+        sources,
+        html.matches(" src=\"data:image/jpeg;base64,").count()
+    );
 }
 
 #[test]
@@ -180,7 +212,10 @@ fn a_picture_that_is_too_large_is_left_out() {
 #[test]
 fn extreme_scores_draw_finite_figures() {
     let mut rows = rollouts(60, 2);
-    for (row, value) in rows.iter_mut().zip([1e300, -1e300, 1.7e308, -1.7e308, 5e-324]) {
+    for (row, value) in rows
+        .iter_mut()
+        .zip([1e300, -1e300, 1.7e308, -1.7e308, 5e-324])
+    {
         row.anomaly = Some(value);
         row.anomaly_lo = Some(value);
         row.anomaly_hi = Some(value);

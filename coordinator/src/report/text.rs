@@ -31,7 +31,7 @@ pub(super) fn magnitude(value: Option<f64>) -> String {
         || MISSING.to_owned(),
         |value| match value.abs() {
             0.0 => "0".to_owned(),
-            size if size < 0.001 || size >= 1e6 => format!("{value:.2e}"),
+            size if !(0.001..1e6).contains(&size) => format!("{value:.2e}"),
             size if size < 1.0 => format!("{value:.3}"),
             size if size < 100.0 => format!("{value:.2}"),
             _ => format!("{value:.0}"),
@@ -41,10 +41,7 @@ pub(super) fn magnitude(value: Option<f64>) -> String {
 
 /// A weight or a correlation: `decimals` decimals.
 pub(super) fn fixed(value: Option<f64>, decimals: usize) -> String {
-    finite(value).map_or_else(
-        || MISSING.to_owned(),
-        |value| format!("{value:.decimals$}"),
-    )
+    finite(value).map_or_else(|| MISSING.to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 /// A count that may be missing.
@@ -72,7 +69,11 @@ pub(super) fn length(value: usize) -> String {
 
 /// `1 video`, `2 videos`.
 pub(super) fn videos(value: u64) -> String {
-    format!("{} video{}", count(value), if value == 1 { "" } else { "s" })
+    format!(
+        "{} video{}",
+        count(value),
+        if value == 1 { "" } else { "s" }
+    )
 }
 
 /// Seconds as a person says them.
@@ -98,19 +99,27 @@ fn finite(value: Option<f64>) -> Option<f64> {
 
 /// Longest name shown in full; a longer one keeps its two ends, where names differ.
 const NAME_CHARS: usize = 96;
+/// The same in the two lines of a card's heading.
+const HEADING_CHARS: usize = 60;
 /// Longest name in a tooltip.
 const TOOLTIP_CHARS: usize = 400;
 
-/// A name, isolated from the reading direction around it, with its full form as a tooltip where it
-/// was shortened.
+/// A name, isolated from the reading direction around it and read as a path, with its full form as
+/// a tooltip where it was shortened.
 pub(super) fn name(name: &str) -> Markup {
+    bounded(name, NAME_CHARS)
+}
+
+/// A name that fits a card's heading.
+pub(super) fn heading(name: &str) -> Markup {
+    bounded(name, HEADING_CHARS)
+}
+
+fn bounded(name: &str, chars: usize) -> Markup {
     let full = visible(name);
-    let short = shortened(&full, NAME_CHARS);
-    if short == full {
-        html! { bdi { (full) } }
-    } else {
-        html! { bdi title=(shortened(&full, TOOLTIP_CHARS)) { (short) } }
-    }
+    let short = shortened(&full, chars);
+    let tooltip = (short != full).then(|| shortened(&full, TOOLTIP_CHARS));
+    html! { bdi dir="ltr" title=[tooltip] { (short) } }
 }
 
 /// The name as plain text, shortened to `chars`.
@@ -180,7 +189,10 @@ mod tests {
 
     #[test]
     fn names_show_what_hides_and_keep_both_ends() {
-        assert_eq!(visible("a\n\u{202e}gpj.exe\u{7}"), "a\\n\\u{202e}gpj.exe\\u{7}");
+        assert_eq!(
+            visible("a\n\u{202e}gpj.exe\u{7}"),
+            "a\\n\\u{202e}gpj.exe\\u{7}"
+        );
         assert_eq!(visible("müll/日本.mp4"), "müll/日本.mp4");
         let long = format!("{}end.mp4", "é".repeat(300));
         let short = shortened(&long, 20);
@@ -188,7 +200,7 @@ mod tests {
         assert!(short.starts_with("éé") && short.ends_with("end.mp4"));
         assert_eq!(
             name("<b>\"x\"</b>").into_string(),
-            "<bdi>&lt;b&gt;&quot;x&quot;&lt;/b&gt;</bdi>"
+            "<bdi dir=\"ltr\">&lt;b&gt;&quot;x&quot;&lt;/b&gt;</bdi>"
         );
     }
 }

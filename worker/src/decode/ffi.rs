@@ -12,8 +12,9 @@ use std::sync::{Arc, Once};
 
 use ffmpeg_next::format::context::{Input, StreamIo};
 use ffmpeg_next::format::stream::Stream;
+use ffmpeg_next::packet::Ref;
 use ffmpeg_next::software::scaling;
-use ffmpeg_next::{Dictionary, Error, codec, ffi, frame};
+use ffmpeg_next::{Dictionary, Error, Packet, codec, ffi, frame};
 
 /// Streams of one container; a file with more is not a video clip.
 const MAX_STREAMS: &str = "64";
@@ -130,6 +131,13 @@ pub(super) fn keep_only(input: &mut Input, index: usize) {
             (**all.add(other)).discard = ffi::AVDiscard::AVDISCARD_ALL;
         }
     }
+}
+
+/// Whether the container says that the packet is decoded but not shown (an edit list's lead-in).
+#[expect(unsafe_code, reason = "the safe flags leave this one out")]
+pub(super) fn is_hidden(packet: &Packet) -> bool {
+    // SAFETY: reads a plain field of a live packet.
+    unsafe { (*packet.as_ptr()).flags & ffi::AV_PKT_FLAG_DISCARD as c_int != 0 }
 }
 
 /// One thread, bit-exact transforms, and no picture above `max_pixels` is ever allocated.

@@ -139,6 +139,7 @@ fn describe(rgb: &Rgb8, format: ImageFormat, pixel_format: String) -> VideoInfo 
         dropped_frames: 0,
         damaged_frames: 0,
         rejected_packets: 0,
+        silent_packets: 0,
         stopped_early: false,
     }
 }

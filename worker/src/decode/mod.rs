@@ -107,6 +107,8 @@ pub struct VideoInfo {
     pub damaged_frames: u32,
     /// Packets that the decoder refused although every declared frame came.
     pub rejected_packets: u32,
+    /// Packets that gave no picture and no error: legal in some codecs, lost frames in others.
+    pub silent_packets: u32,
     /// The callback asked to stop; the rest of the file was not examined.
     pub stopped_early: bool,
 }

@@ -90,9 +90,11 @@ fn ebml_size(bytes: &[u8]) -> Option<(Option<u64>, usize)> {
 }
 
 const EBML_HEADER_ID: &[u8] = b"\x1a\x45\xdf\xa3";
+/// RFC 9559: element identifiers have at most four bytes.
+const MAX_ID_BYTES: usize = 4;
 const SEGMENT_ID: &[u8] = b"\x18\x53\x80\x67";
 
-/// A segment of unknown size (a live recording) cannot be told to be cut.
+/// A segment of unknown size (a live recording) is judged by its elements: cut between two, it is not told.
 fn matroska_is_cut(bytes: &[u8]) -> bool {
     let after_header = bytes.strip_prefix(EBML_HEADER_ID).and_then(|rest| {
         let (size, length) = ebml_size(rest)?;
@@ -107,9 +109,39 @@ fn matroska_is_cut(bytes: &[u8]) -> bool {
     };
     match ebml_size(segment) {
         Some((Some(size), length)) => size > (segment.len() - length) as u64,
-        Some((None, _)) => false,
+        Some((None, length)) => !elements_fit(&segment[length..]),
         None => true,
     }
+}
+
+/// Whether consecutive elements end with the bytes; clusters of unknown size are entered.
+fn elements_fit(mut rest: &[u8]) -> bool {
+    while let Some(&first) = rest.first() {
+        let id_bytes = first.leading_zeros() as usize + 1;
+        // Not an element: nothing is claimed of what follows.
+        if id_bytes > MAX_ID_BYTES {
+            return true;
+        }
+        let Some(after_id) = rest.get(id_bytes..) else {
+            return false;
+        };
+        if after_id.first() == Some(&0) {
+            return true;
+        }
+        let Some((size, length)) = ebml_size(after_id) else {
+            return false;
+        };
+        let body = &after_id[length..];
+        let next = match size {
+            Some(size) => usize::try_from(size).ok().and_then(|size| body.get(size..)),
+            None => Some(body),
+        };
+        match next {
+            Some(next) => rest = next,
+            None => return false,
+        }
+    }
+    true
 }
 
 /// Sizes of 0 or all ones are left by writers that could not seek back: no cut is claimed then.
@@ -136,7 +168,7 @@ fn gif_blocks(bytes: &[u8]) -> Structure {
     let whole = walk_gif(bytes, &mut frames).is_some();
     Structure {
         is_cut: !whole,
-        frames: Some(frames),
+        frames: whole.then_some(frames),
         ..Structure::default()
     }
 }
@@ -207,6 +239,18 @@ mod tests {
         assert!(!matroska_is_cut(
             b"\x1a\x45\xdf\xa3\x82hi\x18\x53\x80\x67\x01\xff\xff\xff\xff\xff\xff\xff"
         ));
+    }
+
+    #[test]
+    fn live_recordings_are_judged_by_their_elements() {
+        let live = b"\x1a\x45\xdf\xa3\x82hi\x18\x53\x80\x67\xff\x15\x49\xa9\x66\x81i\x1f\x43\xb6\x75\xff\xe7\x81\x00\xa3\x84abcd";
+        assert!(!matroska_is_cut(live));
+        assert!(matroska_is_cut(&live[..live.len() - 1]));
+        assert!(matroska_is_cut(&live[..live.len() - 5]));
+        assert!(
+            !matroska_is_cut(&live[..live.len() - 6]),
+            "a cut between elements leaves no trace"
+        );
     }
 
     #[test]

@@ -6,7 +6,9 @@
 //! A clip counts as decoded only in full, because a missing frame would be scored as a jump: a file that
 //! ends early (fewer samples than its index, or cut containers) and packets that the decoder refuses give
 //! `Undecodable`, after the frames that could be decoded have been delivered; callers discard them. A
-//! change of picture size within a clip is refused too: frames of two sizes have no common flow.
+//! change of picture size within a clip is refused too: frames of two sizes have no common flow. Packets
+//! that give no picture without an error are legal (field pairs, invisible reference frames, references before
+//! a cut), so they are only counted. Interlaced pictures are delivered as coded.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -208,6 +210,8 @@ struct Shape {
 struct Counts {
     /// Packets that arrived whole.
     packets: u64,
+    /// Of those, packets that are to be shown.
+    presentable: u64,
     /// Packets that the decoder refused.
     rejected: u32,
     /// Pictures that came out of the decoder.
@@ -250,7 +254,10 @@ impl Run<'_> {
                 break;
             }
             self.counts.packets += 1;
-            self.limits.check_frames(self.timeline.frames().into())?;
+            // Samples before an edit list's start are decoded for reference only.
+            if !ffi::is_hidden(&packet) {
+                self.counts.presentable += 1;
+            }
             let sent = self.decoder.send_packet(&packet);
             if sent.is_err() {
                 self.counts.rejected = self.counts.rejected.saturating_add(1);
@@ -388,6 +395,7 @@ impl Run<'_> {
         if !stopped_early {
             self.check_complete()?;
         }
+        let silent = counts.presentable.saturating_sub(counts.pictures);
         let shape = self
             .shape
             .ok_or_else(|| DecodeError::undecodable(NOTHING_DECODES))?;
@@ -413,6 +421,11 @@ impl Run<'_> {
             dropped_frames: counts.dropped,
             damaged_frames: counts.damaged,
             rejected_packets: counts.rejected,
+            silent_packets: if stopped_early {
+                0
+            } else {
+                silent.try_into().unwrap_or(u32::MAX)
+            },
             stopped_early,
         })
     }
@@ -434,7 +447,7 @@ impl Run<'_> {
                 of(declared.filter(|&total| total >= u64::from(decoded))),
             )));
         }
-        let expected = declared.unwrap_or(counts.packets);
+        let expected = counts.presentable;
         if counts.rejected > 0 && counts.pictures < expected {
             return Err(DecodeError::undecodable(format!(
                 "damaged: {} of {expected} frames decode; re-copy the file or re-encode it",

@@ -5,6 +5,10 @@
 /// paper's own failures (its Sora and Grok cases) have a largest jump inside the series' scatter.
 const RELIABLE_DEVIATIONS: f64 = 6.0;
 
+/// And it is at least this many times the median jump: a series that alternates between a few values
+/// has a median deviation of zero, from which every jump would stand out.
+const RELIABLE_RATIO: f64 = 2.0;
+
 /// Median absolute deviation of a normal variable, inverse: makes the MAD a standard deviation.
 const MAD_TO_SIGMA: f64 = 1.4826;
 
@@ -41,7 +45,8 @@ pub(super) fn assess(series: &[(u32, f64)], warmup: u32) -> Assessment {
         let sizes: Vec<f64> = jumps.iter().map(|(_, jump)| *jump).collect();
         let centre = median(&sizes)?;
         let deviations: Vec<f64> = sizes.iter().map(|size| (size - centre).abs()).collect();
-        Some(jump > centre + RELIABLE_DEVIATIONS * MAD_TO_SIGMA * median(&deviations)?)
+        let scatter = MAD_TO_SIGMA * median(&deviations)?;
+        Some(jump > centre + RELIABLE_DEVIATIONS * scatter && jump > RELIABLE_RATIO * centre)
     });
     Assessment {
         mean_error: Some(mean_error),

@@ -4,6 +4,8 @@
 //! The ceilings are OpenCV 5.0.0's own means with the same parameters, one thread, variational
 //! refinement off (`DISOpticalFlow` on `cvtColor` grey): this implementation must be no worse.
 
+#![expect(clippy::unwrap_used, reason = "what cannot be read fails the test")]
+
 use std::path::{Path, PathBuf};
 
 use plumbline_vision::flow::Flow;

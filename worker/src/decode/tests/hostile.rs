@@ -50,23 +50,30 @@ fn playlists_and_scripts_open_nothing() {
 #[test]
 fn linking_demuxers_are_refused_behind_the_sniffer_too() {
     let bait = Bait::lay();
-    let dir = tempfile::tempdir().expect("directory");
-    let clip = dir.path().join("a.mp4");
-    std::fs::write(&clip, small("mp4")).expect("writes");
-    let script = format!("ffconcat version 1.0\nfile '{}'\n", clip.display());
+    // The concat demuxer takes relative names only, so the clip must lie below the working directory. Without
+    // the refusals of `ffi::open` it reads all ten packets; HLS does not start on an input without a name.
+    let dir = tempfile::Builder::new()
+        .prefix("linked-")
+        .tempdir_in(".")
+        .expect("directory");
+    std::fs::write(dir.path().join("a.mp4"), small("mp4")).expect("writes");
+    let folder = dir
+        .path()
+        .file_name()
+        .and_then(|name| name.to_str())
+        .expect("name");
     for (bytes, demuxer) in [
         (playlist(&bait.url), c"hls"),
-        (playlist(&clip.display().to_string()), c"hls"),
+        (playlist(&format!("{folder}/a.mp4")), c"hls"),
         (
-            format!("ffconcat version 1.0\nfile '{}'\n", bait.url).into_bytes(),
+            format!("ffconcat version 1.0\nfile {folder}/a.mp4\n").into_bytes(),
             c"concat",
         ),
-        (script.into_bytes(), c"concat"),
     ] {
-        let Ok(mut input) = ffi::open(bytes.into(), demuxer) else {
-            continue;
-        };
-        assert_eq!(input.packets().count(), 0, "{demuxer:?} read something");
+        match ffi::open(bytes.into(), demuxer) {
+            Ok(mut input) => assert_eq!(input.packets().count(), 0, "{demuxer:?} read something"),
+            Err(error) => println!("{demuxer:?}: {error}"),
+        }
     }
     assert!(!bait.was_taken());
 }

@@ -43,9 +43,10 @@ fn every_codec_comes_back() {
             (
                 info.dropped_frames,
                 info.damaged_frames,
-                info.rejected_packets
+                info.rejected_packets,
+                info.silent_packets
             ),
-            (0, 0, 0)
+            (0, 0, 0, 0)
         );
         assert!(!info.variable_frame_rate, "{muxer}/{encoder}");
         // Millisecond clocks round each time by half a millisecond at most.

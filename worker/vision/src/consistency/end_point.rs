@@ -58,7 +58,7 @@ impl EndPointError {
                 let error = squared.sqrt();
                 in_frame += 1;
                 sum += f64::from(error);
-                occluded += usize::from(params.rho(squared, ahead, back) >= 1.0);
+                occluded += usize::from(squared >= params.tolerance(ahead, back));
                 error_px.push(Some(error));
             }
         }

@@ -94,8 +94,14 @@ impl ConsistencyParams {
     /// ρ = |F + B'|² / (absolute + relative (|F|² + |B'|²)); the two flows agree where ρ < 1.
     #[inline]
     fn rho(&self, squared_error: f32, forward: [f32; 2], backward: [f32; 2]) -> f32 {
+        squared_error / self.tolerance(forward, backward)
+    }
+
+    /// The largest |F + B'|² at which the two flows agree, squared pixels.
+    #[inline]
+    fn tolerance(&self, forward: [f32; 2], backward: [f32; 2]) -> f32 {
         let energy = squared_norm(forward) + squared_norm(backward);
-        squared_error / (self.tolerance_px2 + self.tolerance_relative * energy)
+        self.tolerance_px2 + self.tolerance_relative * energy
     }
 }
 

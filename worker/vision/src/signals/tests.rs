@@ -65,7 +65,13 @@ fn affine_motion_leaves_no_residual_and_random_motion_much() {
     });
     // f32 coordinates of a few hundred pixels: a few 1e-5 px.
     assert!(affine.unwrap() < 1e-4, "{affine:?}");
-    let two_halves = residual(|_, y| if y < SIDE / 2 { [3.0, 0.0] } else { [-3.0, 1.0] });
+    let two_halves = residual(|_, y| {
+        if y < SIDE / 2 {
+            [3.0, 0.0]
+        } else {
+            [-3.0, 1.0]
+        }
+    });
     assert!(two_halves.unwrap() < 1e-3, "{two_halves:?}");
     let rough = residual(|x, y| {
         // Blocks of 8 px, each with a vector of its own between 2 and 6 px.
@@ -75,10 +81,7 @@ fn affine_motion_leaves_no_residual_and_random_motion_much() {
             3.0 * ((hash * 31 % 89) as f32 / 89.0),
         ]
     });
-    assert!(
-        rough.unwrap() > 0.05,
-        "{rough:?}"
-    );
+    assert!(rough.unwrap() > 0.05, "{rough:?}");
 }
 
 #[test]

@@ -333,11 +333,13 @@ fn textureless_and_saturated_frames_give_exactly_zero() {
 #[test]
 fn one_dimensional_and_noisy_structure_stay_finite() {
     let stripes = |shift: usize| {
-        Plane::from_fn(
-            70,
-            50,
-            |x, _| if (x + shift) / 3 % 2 == 0 { 0.0 } else { 255.0 },
-        )
+        Plane::from_fn(70, 50, |x, _| {
+            if ((x + shift) / 3).is_multiple_of(2) {
+                0.0
+            } else {
+                255.0
+            }
+        })
     };
     let noise = |seed: usize| {
         Plane::from_fn(70, 50, |x, y| {

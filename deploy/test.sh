@@ -1,0 +1,42 @@
+#!/usr/bin/env bash
+# Sets up and runs the tests.
+# Usage: deploy/test.sh [SUITE]
+#   unit      formatting, lints, documentation, and the tests beside the code
+#   cli       end-to-end tests of the built command
+#   parity    numbers of the reference implementations
+#   numerics  numerical extremes
+# Without a name: all of them.
+. "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+
+suite=${1:-all}
+setup_build
+if ! cargo nextest --version >/dev/null 2>&1; then
+    say "installing cargo-nextest"
+    cargo install --locked cargo-nextest
+fi
+
+lint() {
+    say "formatting, lints, documentation"
+    cargo fmt --all --check
+    cargo clippy --locked --workspace --all-targets -- -D warnings
+    RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --document-private-items --quiet
+}
+
+# run FILTER: the tests that a nextest filter names; the command under test is built first.
+run() {
+    say "tests: $1"
+    cargo build --locked --bin plumbline
+    cargo nextest run --locked --workspace --no-fail-fast -E "$1"
+}
+
+parity='binary(/^parity/)'
+numerics='binary(/^numerics/)'
+cli='package(plumbline-tests)'
+case $suite in
+    unit) lint; run "not ($cli) and not ($parity) and not ($numerics)" ;;
+    cli) run "$cli and not ($parity) and not ($numerics)" ;;
+    parity) run "$parity" ;;
+    numerics) run "$numerics" ;;
+    all) lint; run 'all()' ;;
+    *) echo "unknown suite $suite: unit, cli, parity or numerics" >&2; exit 2 ;;
+esac
