@@ -53,7 +53,9 @@ impl Record {
 #[derive(Debug, thiserror::Error)]
 pub enum JournalError {
     /// The disk said no.
-    #[error("{path}: {source}; what was measured so far is kept: make room or mend the permissions, then run the same command again")]
+    #[error(
+        "{path}: {source}; what was measured so far is kept: make room or mend the permissions, then run the same command again"
+    )]
     Io {
         /// The journal.
         path: PathBuf,
@@ -89,7 +91,12 @@ impl Journal {
     ///
     /// # Errors
     /// [`JournalError::Io`].
-    pub fn open(path: &Path, resume: bool, entries: &[Entry], profile_digest: &str) -> Result<Self, JournalError> {
+    pub fn open(
+        path: &Path,
+        resume: bool,
+        entries: &[Entry],
+        profile_digest: &str,
+    ) -> Result<Self, JournalError> {
         let io_error = |source| JournalError::Io {
             path: path.to_path_buf(),
             source,
@@ -101,7 +108,8 @@ impl Journal {
             .truncate(!resume)
             .open(path)
             .map_err(io_error)?;
-        let wanted: HashMap<&VideoId, &Entry> = entries.iter().map(|entry| (&entry.video, entry)).collect();
+        let wanted: HashMap<&VideoId, &Entry> =
+            entries.iter().map(|entry| (&entry.video, entry)).collect();
         let mut places = HashMap::new();
         let mut end = 0;
         let mut reader = BufReader::new(&file);
@@ -111,7 +119,10 @@ impl Journal {
                 break;
             };
             let video = &record.outcome.video;
-            if wanted.get(video).is_some_and(|entry| record.answers(entry, profile_digest)) {
+            if wanted
+                .get(video)
+                .is_some_and(|entry| record.answers(entry, profile_digest))
+            {
                 places.insert(video.clone(), end);
             }
             end += (HEADER_BYTES + payload.len()) as u64;
@@ -171,7 +182,9 @@ impl Journal {
     /// [`JournalError::Io`].
     pub fn sync(&mut self) -> Result<(), JournalError> {
         self.unsynced = 0;
-        self.file.sync_data().map_err(|source| self.io_error(source))
+        self.file
+            .sync_data()
+            .map_err(|source| self.io_error(source))
     }
 
     /// Reads a video's record back; `None` where it is not measured.
@@ -182,7 +195,10 @@ impl Journal {
         let Some(&place) = self.places.get(video) else {
             return Ok(None);
         };
-        let mut at_place = ReadAt { file: &self.file, offset: place };
+        let mut at_place = ReadAt {
+            file: &self.file,
+            offset: place,
+        };
         let payload = frame::read(&mut at_place).map_err(|source| self.frame_error(source))?;
         let payload = payload.ok_or_else(|| self.frame_error(FrameError::Torn))?;
         Ok(Some(message::decode(&payload)?))
@@ -266,7 +282,10 @@ mod tests {
         drop(journal);
         let journal = reopen(&path, "p");
         assert_eq!(journal.len(), 2);
-        assert_eq!(journal.read(&entry("b").video).unwrap(), Some(record("b", Status::TooShort)));
+        assert_eq!(
+            journal.read(&entry("b").video).unwrap(),
+            Some(record("b", Status::TooShort))
+        );
     }
 
     #[test]
@@ -282,7 +301,11 @@ mod tests {
         assert!(journal.contains(&entry("a").video) && !journal.contains(&entry("b").video));
         let mut touched = entry("a");
         touched.modified_ns = Some(6);
-        assert!(Journal::open(&path, true, &[touched], "p").unwrap().is_empty());
+        assert!(
+            Journal::open(&path, true, &[touched], "p")
+                .unwrap()
+                .is_empty()
+        );
     }
 
     #[test]
@@ -310,7 +333,13 @@ mod tests {
     fn without_resume_nothing_is_kept() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("journal");
-        reopen(&path, "p").append(&record("a", Status::Static)).unwrap();
-        assert!(Journal::open(&path, false, &[entry("a")], "p").unwrap().is_empty());
+        reopen(&path, "p")
+            .append(&record("a", Status::Static))
+            .unwrap();
+        assert!(
+            Journal::open(&path, false, &[entry("a")], "p")
+                .unwrap()
+                .is_empty()
+        );
     }
 }

@@ -57,7 +57,10 @@ impl Fanout {
                 }
             });
         }
-        Self { outcomes, _tasks: tasks }
+        Self {
+            outcomes,
+            _tasks: tasks,
+        }
     }
 
     /// The next outcome; `None` when every job is done.

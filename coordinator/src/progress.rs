@@ -58,7 +58,12 @@ impl Progress {
             }
         } else if self.last_line.elapsed() >= LINE_INTERVAL {
             self.last_line = Instant::now();
-            say(&format!("{}/{} videos, about {} left", self.done, self.total, self.time_left()));
+            say(&format!(
+                "{}/{} videos, about {} left",
+                self.done,
+                self.total,
+                self.time_left()
+            ));
         }
     }
 
@@ -76,7 +81,12 @@ impl Progress {
         }
         let each_s = self.started.elapsed().as_secs_f64() / here as f64;
         let left_s = (each_s * (self.total - self.done) as f64).round() as u64;
-        format!("{}:{:02}:{:02}", left_s / 3600, left_s / 60 % 60, left_s % 60)
+        format!(
+            "{}:{:02}:{:02}",
+            left_s / 3600,
+            left_s / 60 % 60,
+            left_s % 60
+        )
     }
 }
 

@@ -19,7 +19,9 @@ use crate::collect::{Journal, JournalError, Record};
 use crate::corpus::{self, CorpusError, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
 use crate::progress::{Progress, say};
-use crate::publish::{self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError};
+use crate::publish::{
+    self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError,
+};
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput, Thumbnails};
 use lease::Lease;
@@ -54,11 +56,20 @@ pub struct ScoreOptions {
 impl ScoreOptions {
     /// The options that a reader of the report may ask for.
     fn told(&self) -> Vec<(String, String)> {
-        let group_by = self.group_by.as_ref().map_or("none".to_owned(), GroupBy::to_string);
+        let group_by = self
+            .group_by
+            .as_ref()
+            .map_or("none".to_owned(), GroupBy::to_string);
         vec![
             ("group by".to_owned(), group_by),
-            ("deadline per video".to_owned(), format!("{} s", self.slots.limits.deadline_s)),
-            ("memory per compute process".to_owned(), format!("{} MiB", self.slots.limits.memory_mib)),
+            (
+                "deadline per video".to_owned(),
+                format!("{} s", self.slots.limits.deadline_s),
+            ),
+            (
+                "memory per compute process".to_owned(),
+                format!("{} MiB", self.slots.limits.memory_mib),
+            ),
         ]
     }
 }
@@ -114,7 +125,9 @@ pub enum RunError {
     #[error(transparent)]
     Slot(#[from] SlotError),
     /// Ctrl-C or SIGTERM.
-    #[error("interrupted: {done} of {total} videos are measured and kept; run the same command again to go on")]
+    #[error(
+        "interrupted: {done} of {total} videos are measured and kept; run the same command again to go on"
+    )]
     Interrupted {
         /// Videos measured.
         done: usize,
@@ -142,10 +155,18 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     write_frozen(&state, &entries)?;
 
     let journal_path = state.root().join("journal");
-    let mut journal = Journal::open(&journal_path, options.resume, &entries, &options.reduce.profile_digest)?;
+    let mut journal = Journal::open(
+        &journal_path,
+        options.resume,
+        &entries,
+        &options.reduce.profile_digest,
+    )?;
     let measured_before = journal.len();
     if measured_before > 0 {
-        say(&format!("{measured_before} of {} videos were measured by an earlier run", entries.len()));
+        say(&format!(
+            "{measured_before} of {} videos were measured by an earlier run",
+            entries.len()
+        ));
     }
     let compute_s = measure_missing(options, &entries, &mut journal).await?;
     journal.sync()?;
@@ -163,7 +184,11 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
 }
 
 /// Measures every readable entry that the journal does not answer; gives the compute time spent.
-async fn measure_missing(options: &ScoreOptions, entries: &[Entry], journal: &mut Journal) -> Result<f64, RunError> {
+async fn measure_missing(
+    options: &ScoreOptions,
+    entries: &[Entry],
+    journal: &mut Journal,
+) -> Result<f64, RunError> {
     let profile = options.profile.canonical().map_err(RunError::Profile)?;
     let jobs: Vec<Job> = entries
         .iter()
@@ -241,7 +266,10 @@ fn unreadable(entry: &Entry) -> Measurement {
     let problem = entry.problem.as_deref().unwrap_or("not measured");
     Measurement::without_score(
         Status::Failed,
-        format!("{}: cannot be read ({problem}); mend it and run again", entry.path().display()),
+        format!(
+            "{}: cannot be read ({problem}); mend it and run again",
+            entry.path().display()
+        ),
     )
 }
 
@@ -264,8 +292,13 @@ fn publish_run(
         conditioning_frames: options.profile.conditioning_frames,
         statistics: reduced.statistics.clone(),
     };
-    let locations: Vec<String> = entries.iter().map(|entry| entry.path().to_string_lossy().into_owned()).collect();
-    let costs = entries.iter().filter_map(|entry| cost_row(entry, journal).transpose());
+    let locations: Vec<String> = entries
+        .iter()
+        .map(|entry| entry.path().to_string_lossy().into_owned())
+        .collect();
+    let costs = entries
+        .iter()
+        .filter_map(|entry| cost_row(entry, journal).transpose());
     let costs: Vec<CostRow> = costs.collect::<Result<_, _>>()?;
     let thumbnails = |video: &VideoId| {
         let pictures = journal.read(video).ok()??.outcome.thumbnails?;
@@ -362,4 +395,3 @@ impl StopSignals {
         }
     }
 }
-

@@ -71,9 +71,14 @@ impl SampleDir {
     /// # Errors
     /// [`WriteSampleError::Io`].
     pub fn create(root: &Path) -> Result<Self, WriteSampleError> {
-        let sample = Self { root: root.to_path_buf() };
+        let sample = Self {
+            root: root.to_path_buf(),
+        };
         for directory in [sample.videos(), sample.truth()] {
-            fs::create_dir_all(&directory).map_err(|source| WriteSampleError::Io { path: directory, source })?;
+            fs::create_dir_all(&directory).map_err(|source| WriteSampleError::Io {
+                path: directory,
+                source,
+            })?;
         }
         Ok(sample)
     }
@@ -101,9 +106,12 @@ impl SampleDir {
     pub fn write_clip(&self, clip: &ClipSpec, truth: Truth) -> Result<(), WriteSampleError> {
         self.write_video(clip)?;
         let path = self.truth().join(format!("{}.npz", clip.name));
-        let frames = (0..clip.frames).map(|frame| clip.truth(frame)).collect::<Result<Vec<_>, _>>();
+        let frames = (0..clip.frames)
+            .map(|frame| clip.truth(frame))
+            .collect::<Result<Vec<_>, _>>();
         let frames = frames.map_err(|source| render_error(clip, source))?;
-        write_truth(&path, clip, &frames, truth).map_err(|source| WriteSampleError::Io { path, source })
+        write_truth(&path, clip, &frames, truth)
+            .map_err(|source| WriteSampleError::Io { path, source })
     }
 
     fn write_video(&self, clip: &ClipSpec) -> Result<(), WriteSampleError> {
@@ -135,7 +143,16 @@ impl SampleDir {
         let write = || -> Result<(), csv::Error> {
             let mut table = csv::Writer::from_path(&path)?;
             table.write_record([
-                "video", "family", "pair", "fault", "first_frame", "last_frame", "x0", "y0", "x1", "y1",
+                "video",
+                "family",
+                "pair",
+                "fault",
+                "first_frame",
+                "last_frame",
+                "x0",
+                "y0",
+                "x1",
+                "y1",
             ])?;
             for clip in clips {
                 let mut record = vec![
@@ -148,7 +165,9 @@ impl SampleDir {
                     None => record.extend(std::iter::repeat_n(String::new(), 7)),
                     Some(fault) => {
                         record.push(fault.kind.as_str().to_owned());
-                        record.extend([fault.first_frame, fault.last_frame].map(|frame| frame.to_string()));
+                        record.extend(
+                            [fault.first_frame, fault.last_frame].map(|frame| frame.to_string()),
+                        );
                         record.extend(fault.bbox_px.map(|px| px.to_string()));
                     }
                 }
@@ -171,7 +190,12 @@ fn render_error(clip: &ClipSpec, source: SampleError) -> WriteSampleError {
     }
 }
 
-fn write_truth(path: &Path, clip: &ClipSpec, frames: &[FrameTruth], truth: Truth) -> io::Result<()> {
+fn write_truth(
+    path: &Path,
+    clip: &ClipSpec,
+    frames: &[FrameTruth],
+    truth: Truth,
+) -> io::Result<()> {
     let mut npz = Npz {
         zip: NpzWriter::new(BufWriter::new(File::create(path)?)),
     };
@@ -183,17 +207,50 @@ fn write_truth(path: &Path, clip: &ClipSpec, frames: &[FrameTruth], truth: Truth
     npz.array("camera_from_world", &[t, 7], poses)?;
     if let Some(first) = frames.first() {
         let camera = &first.camera;
-        npz.array("intrinsics_px", &[4], [camera.fx, camera.fy, camera.cx, camera.cy])?;
+        npz.array(
+            "intrinsics_px",
+            &[4],
+            [camera.fx, camera.fy, camera.cx, camera.cy],
+        )?;
     }
     if truth == Truth::Dense {
         let flows = || frames.iter().filter_map(|frame| frame.flow.as_ref());
         let pairs = flows().count() as u64;
-        npz.array("flow_px", &[pairs, h, w, 2], flows().flat_map(|flow| flow.flow_px.iter().copied().flatten()))?;
-        let flags = |flags: &[bool]| flags.iter().map(|&flag| u8::from(flag)).collect::<Vec<u8>>();
-        npz.array("flow_valid", &[pairs, h, w], flows().flat_map(|flow| flags(&flow.valid)))?;
-        npz.array("flow_visible", &[pairs, h, w], flows().flat_map(|flow| flags(&flow.visible)))?;
-        npz.array("depth_m", &[t, h, w], frames.iter().flat_map(|frame| frame.depth_m.iter().copied()))?;
-        npz.array("body_id", &[t, h, w], frames.iter().flat_map(|frame| frame.body_id.iter().copied()))?;
+        npz.array(
+            "flow_px",
+            &[pairs, h, w, 2],
+            flows().flat_map(|flow| flow.flow_px.iter().copied().flatten()),
+        )?;
+        let flags = |flags: &[bool]| {
+            flags
+                .iter()
+                .map(|&flag| u8::from(flag))
+                .collect::<Vec<u8>>()
+        };
+        npz.array(
+            "flow_valid",
+            &[pairs, h, w],
+            flows().flat_map(|flow| flags(&flow.valid)),
+        )?;
+        npz.array(
+            "flow_visible",
+            &[pairs, h, w],
+            flows().flat_map(|flow| flags(&flow.visible)),
+        )?;
+        npz.array(
+            "depth_m",
+            &[t, h, w],
+            frames
+                .iter()
+                .flat_map(|frame| frame.depth_m.iter().copied()),
+        )?;
+        npz.array(
+            "body_id",
+            &[t, h, w],
+            frames
+                .iter()
+                .flat_map(|frame| frame.body_id.iter().copied()),
+        )?;
     }
     npz.zip.zip_writer().finish()?.flush()
 }
@@ -214,7 +271,12 @@ impl<W: Write + Seek> Npz<W> {
         let options = FileOptions::default()
             .compression_method(CompressionMethod::Deflated)
             .compression_level(Some(1));
-        let mut writer = self.zip.array(name, options)?.default_dtype().shape(shape).begin_nd()?;
+        let mut writer = self
+            .zip
+            .array(name, options)?
+            .default_dtype()
+            .shape(shape)
+            .begin_nd()?;
         writer.extend(values)?;
         writer.finish()
     }

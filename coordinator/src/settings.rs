@@ -49,7 +49,11 @@ impl Settings {
     pub fn load() -> Result<Self, SettingsError> {
         let settings: Self = Figment::from(Serialized::defaults(Self::default()))
             .merge(Toml::file(FILE))
-            .merge(Env::prefixed(ENV_PREFIX).split("__").filter(|key| key.as_str().contains('.')))
+            .merge(
+                Env::prefixed(ENV_PREFIX)
+                    .split("__")
+                    .filter(|key| key.as_str().contains('.')),
+            )
             .extract()
             .map_err(Box::new)?;
         settings.validate()?;
@@ -62,7 +66,10 @@ impl Settings {
     /// [`SettingsError::Value`].
     pub fn validate(&self) -> Result<(), SettingsError> {
         const MIN_MEMORY_MIB: u64 = 256;
-        let ComputeLimits { deadline_s, memory_mib } = self.compute;
+        let ComputeLimits {
+            deadline_s,
+            memory_mib,
+        } = self.compute;
         if !(deadline_s.is_finite() && deadline_s > 0.0) {
             return Err(SettingsError::Value {
                 name: "compute.deadline_s",
@@ -102,9 +109,19 @@ mod tests {
     fn a_misspelt_or_senseless_setting_is_refused() {
         figment::Jail::expect_with(|jail| {
             jail.create_file(FILE, "[compute]\ndeadline = 5.0\n")?;
-            assert!(Settings::load().unwrap_err().to_string().contains("deadline"));
+            assert!(
+                Settings::load()
+                    .unwrap_err()
+                    .to_string()
+                    .contains("deadline")
+            );
             jail.create_file(FILE, "[compute]\ndeadline_s = 0.0\n")?;
-            assert!(Settings::load().unwrap_err().to_string().contains("above 0"));
+            assert!(
+                Settings::load()
+                    .unwrap_err()
+                    .to_string()
+                    .contains("above 0")
+            );
             Ok(())
         });
     }

@@ -24,7 +24,11 @@ pub(super) struct SampleArgs {
 }
 
 pub(super) fn run(args: &SampleArgs) -> Result<u8, Failure> {
-    let truth = if args.no_dense_truth { Truth::Poses } else { Truth::Dense };
+    let truth = if args.no_dense_truth {
+        Truth::Poses
+    } else {
+        Truth::Dense
+    };
     let sample = SampleDir::create(&args.out).map_err(Failure::stopped)?;
     let clips = sample_corpus(args.seed);
     let mut progress = Progress::start(clips.len() as u64, 0);

@@ -42,7 +42,12 @@ pub(super) struct ScoreArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Formats of scores, costs and rewards
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "jsonl,parquet,csv")]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        default_value = "jsonl,parquet,csv"
+    )]
     format: Vec<FormatArg>,
     /// Measure everything again, whatever --out already holds
     #[arg(long, overrides_with = "resume")]
@@ -118,15 +123,22 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
         Ok(finished) => {
             summary::table(&finished);
             if json {
-                let text = serde_json::to_string_pretty(&summary::json(&finished)).map_err(Failure::stopped)?;
+                let text = serde_json::to_string_pretty(&summary::json(&finished))
+                    .map_err(Failure::stopped)?;
                 writeln!(std::io::stdout(), "{text}").map_err(Failure::stopped)?;
             }
-            Ok(if finished.complete() { exit::OK } else { exit::INCOMPLETE })
+            Ok(if finished.complete() {
+                exit::OK
+            } else {
+                exit::INCOMPLETE
+            })
         }
         Err(error) => Err(Failure {
             code: match &error {
                 RunError::Interrupted { .. } => exit::INTERRUPTED,
-                RunError::Corpus(_) | RunError::OutInUse { .. } | RunError::Profile(_) => exit::USAGE,
+                RunError::Corpus(_) | RunError::OutInUse { .. } | RunError::Profile(_) => {
+                    exit::USAGE
+                }
                 _ => exit::STOPPED,
             },
             message: error.to_string(),

@@ -50,12 +50,23 @@ pub(super) fn table(finished: &Finished) {
     let mut groups: BTreeMap<&str, Counts> = BTreeMap::new();
     let mut all = Counts::default();
     for row in rows {
-        groups.entry(row.group.as_deref().unwrap_or("(none)")).or_default().add(row);
+        groups
+            .entry(row.group.as_deref().unwrap_or("(none)"))
+            .or_default()
+            .add(row);
         all.add(row);
     }
     let mut table = Table::new();
     table.load_style(presets::NOTHING);
-    table.set_header(["group", "videos", "scored", "keep", "drop", "review", "median anomaly"]);
+    table.set_header([
+        "group",
+        "videos",
+        "scored",
+        "keep",
+        "drop",
+        "review",
+        "median anomaly",
+    ]);
     let hidden = groups.len().saturating_sub(MAX_GROUPS);
     if groups.len() > 1 {
         for (group, counts) in groups.iter_mut().take(MAX_GROUPS) {
@@ -82,11 +93,16 @@ pub(super) fn table(finished: &Finished) {
         finished.elapsed_s,
         finished.compute_s / finished.measured_now.max(1) as f64
     ));
-    say(&format!("report: {}", finished.out.join(REPORT_FILE).display()));
+    say(&format!(
+        "report: {}",
+        finished.out.join(REPORT_FILE).display()
+    ));
 }
 
 fn cells(name: &str, counts: &mut Counts) -> [String; 7] {
-    let median = counts.median().map_or("-".to_owned(), |median| format!("{median:+.3}"));
+    let median = counts
+        .median()
+        .map_or("-".to_owned(), |median| format!("{median:+.3}"));
     [
         name.to_owned(),
         counts.videos.to_string(),
@@ -99,21 +115,37 @@ fn cells(name: &str, counts: &mut Counts) -> [String; 7] {
 }
 
 fn tell_unscored(rows: &[Row]) {
-    let unscored: Vec<&Row> = rows.iter().filter(|row| row.measured.status != Status::Scored).collect();
+    let unscored: Vec<&Row> = rows
+        .iter()
+        .filter(|row| row.measured.status != Status::Scored)
+        .collect();
     for row in unscored.iter().take(MAX_REASONS) {
         let reason = row.measured.status_reason.as_deref().unwrap_or_default();
         let status = row.measured.status.as_str();
-        say(&format!("{status}: {}: {}", printable(row.video.as_str()), printable(reason)));
+        say(&format!(
+            "{status}: {}: {}",
+            printable(row.video.as_str()),
+            printable(reason)
+        ));
     }
     if unscored.len() > MAX_REASONS {
-        say(&format!("and {} more without a score, in manifests/review.jsonl", unscored.len() - MAX_REASONS));
+        say(&format!(
+            "and {} more without a score, in manifests/review.jsonl",
+            unscored.len() - MAX_REASONS
+        ));
     }
 }
 
 /// A name on one line of a terminal: control characters are shown, not obeyed.
 fn printable(text: &str) -> String {
     text.chars()
-        .flat_map(|c| if c.is_control() { c.escape_default().collect::<Vec<_>>() } else { vec![c] })
+        .flat_map(|c| {
+            if c.is_control() {
+                c.escape_default().collect::<Vec<_>>()
+            } else {
+                vec![c]
+            }
+        })
         .collect()
 }
 

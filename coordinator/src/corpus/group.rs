@@ -24,7 +24,9 @@ impl FromStr for GroupBy {
         if let Some(n) = text.strip_prefix("path:") {
             return match n.parse() {
                 Ok(n) if n >= 1 => Ok(Self::Path(n)),
-                _ => Err(format!("path:{n}: N is a directory's number below SOURCE, from 1, as in path:1")),
+                _ => Err(format!(
+                    "path:{n}: N is a directory's number below SOURCE, from 1, as in path:1"
+                )),
             };
         }
         if let Some(separator) = text.strip_prefix("prefix:") {
@@ -80,7 +82,9 @@ impl GroupBy {
                 }
             },
             Self::Path(n) => parts.rev().nth(n - 1).map(str::to_owned),
-            Self::Prefix(separator) => file_name.split_once(separator.as_str()).map(|(prefix, _)| prefix.to_owned()),
+            Self::Prefix(separator) => file_name
+                .split_once(separator.as_str())
+                .map(|(prefix, _)| prefix.to_owned()),
         })
     }
 }
@@ -91,7 +95,8 @@ mod tests {
 
     fn group(rule: &str, video: &str) -> Option<String> {
         let rule: GroupBy = rule.parse().unwrap();
-        rule.group(&VideoId::new(video).unwrap(), &serde_json::Map::new()).unwrap()
+        rule.group(&VideoId::new(video).unwrap(), &serde_json::Map::new())
+            .unwrap()
     }
 
     #[test]
@@ -99,14 +104,22 @@ mod tests {
         assert_eq!(group("path:1", "a/b/c.mp4").as_deref(), Some("a"));
         assert_eq!(group("path:2", "a/b/c.mp4").as_deref(), Some("b"));
         assert_eq!(group("path:3", "a/b/c.mp4"), None);
-        assert_eq!(group("prefix:__", "a__x/bridge__1__2.mp4").as_deref(), Some("bridge"));
+        assert_eq!(
+            group("prefix:__", "a__x/bridge__1__2.mp4").as_deref(),
+            Some("bridge")
+        );
         assert_eq!(group("prefix:__", "plain.mp4"), None);
     }
 
     #[test]
     fn nonsense_is_refused_with_an_example() {
         assert!("path:0".parse::<GroupBy>().unwrap_err().contains("path:1"));
-        assert!("prefix:".parse::<GroupBy>().unwrap_err().contains("prefix:__"));
+        assert!(
+            "prefix:"
+                .parse::<GroupBy>()
+                .unwrap_err()
+                .contains("prefix:__")
+        );
     }
 
     #[test]
@@ -114,8 +127,16 @@ mod tests {
         let carried = serde_json::json!({"task": "pick", "seed": 3});
         let carried = carried.as_object().unwrap();
         let video = VideoId::new("v").unwrap();
-        assert_eq!(GroupBy::Column("seed".into()).group(&video, carried).unwrap().as_deref(), Some("3"));
-        let error = GroupBy::Column("sed".into()).group(&video, carried).unwrap_err();
+        assert_eq!(
+            GroupBy::Column("seed".into())
+                .group(&video, carried)
+                .unwrap()
+                .as_deref(),
+            Some("3")
+        );
+        let error = GroupBy::Column("sed".into())
+            .group(&video, carried)
+            .unwrap_err();
         assert!(error.to_string().contains("task, seed"), "{error}");
     }
 }

@@ -23,7 +23,10 @@ pub(super) struct Line {
 
 /// Whether a path's extension says that it is a list.
 pub(super) fn is_list(path: &Path) -> bool {
-    matches!(extension(path).as_deref(), Some("txt" | "csv" | "jsonl" | "parquet"))
+    matches!(
+        extension(path).as_deref(),
+        Some("txt" | "csv" | "jsonl" | "parquet")
+    )
 }
 
 /// Reads a list, in its order.
@@ -64,7 +67,10 @@ fn parse_txt(text: &str) -> Vec<Line> {
 }
 
 fn parse_jsonl(text: &str) -> Result<Vec<Line>, String> {
-    let numbered = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let numbered = text
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty());
     numbered
         .map(|(index, line)| {
             let at = format!("line {}", index + 1);
@@ -114,8 +120,13 @@ fn read_parquet(path: &Path) -> Result<Vec<Line>, String> {
 
 fn split_row(mut row: Map<String, Value>, at: &str) -> Result<Line, String> {
     match row.shift_remove(VIDEO_COLUMN) {
-        Some(Value::String(video)) if !video.is_empty() => Ok(Line { video, carried: row }),
-        Some(_) => Err(format!("{at}: the column `{VIDEO_COLUMN}` must hold a path")),
+        Some(Value::String(video)) if !video.is_empty() => Ok(Line {
+            video,
+            carried: row,
+        }),
+        Some(_) => Err(format!(
+            "{at}: the column `{VIDEO_COLUMN}` must hold a path"
+        )),
         None => Err(format!(
             "{at}: there is no column `{VIDEO_COLUMN}`; name the column of paths so (found {})",
             row.keys().cloned().collect::<Vec<_>>().join(", ")
@@ -145,35 +156,60 @@ mod tests {
     fn csv_and_jsonl_carry_columns_in_order() {
         let csv = read_named("l.csv", b"task,video,seed\npick,\"a,b.mp4\",3\n,c.mp4,\n").unwrap();
         assert_eq!(csv[0].video, "a,b.mp4");
-        assert_eq!(serde_json::to_string(&csv[0].carried).unwrap(), r#"{"task":"pick","seed":"3"}"#);
+        assert_eq!(
+            serde_json::to_string(&csv[0].carried).unwrap(),
+            r#"{"task":"pick","seed":"3"}"#
+        );
         assert_eq!(csv[1].carried["task"], Value::Null);
         let jsonl = read_named("l.jsonl", b"{\"z\":1,\"video\":\"a.mp4\",\"a\":true}\n").unwrap();
-        assert_eq!(serde_json::to_string(&jsonl[0].carried).unwrap(), r#"{"z":1,"a":true}"#);
+        assert_eq!(
+            serde_json::to_string(&jsonl[0].carried).unwrap(),
+            r#"{"z":1,"a":true}"#
+        );
     }
 
     #[test]
     fn parquet_carries_columns() {
         use arrow_array::{ArrayRef, Int64Array, RecordBatch, StringArray};
         let columns: [(&str, ArrayRef); 2] = [
-            ("video", std::sync::Arc::new(StringArray::from(vec!["a.mp4"]))),
+            (
+                "video",
+                std::sync::Arc::new(StringArray::from(vec!["a.mp4"])),
+            ),
             ("seed", std::sync::Arc::new(Int64Array::from(vec![Some(7)]))),
         ];
         let batch = RecordBatch::try_from_iter(columns).unwrap();
         let mut bytes = Vec::new();
-        let mut writer = parquet::arrow::ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
+        let mut writer =
+            parquet::arrow::ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
         writer.write(&batch).unwrap();
         writer.close().unwrap();
         let lines = read_named("l.parquet", &bytes).unwrap();
-        assert_eq!((lines[0].video.as_str(), &lines[0].carried["seed"]), ("a.mp4", &Value::from(7)));
+        assert_eq!(
+            (lines[0].video.as_str(), &lines[0].carried["seed"]),
+            ("a.mp4", &Value::from(7))
+        );
     }
 
     #[test]
     fn what_is_wrong_is_named() {
-        let no_column = read_named("l.csv", b"path,x\na,1\n").unwrap_err().to_string();
-        assert!(no_column.contains("l.csv") && no_column.contains("found path, x"), "{no_column}");
-        let bad_line = read_named("l.jsonl", b"{\"video\":\"a\"}\n[1]\n").unwrap_err().to_string();
+        let no_column = read_named("l.csv", b"path,x\na,1\n")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            no_column.contains("l.csv") && no_column.contains("found path, x"),
+            "{no_column}"
+        );
+        let bad_line = read_named("l.jsonl", b"{\"video\":\"a\"}\n[1]\n")
+            .unwrap_err()
+            .to_string();
         assert!(bad_line.contains("line 2"), "{bad_line}");
         assert!(read_named("l.parquet", b"not parquet").is_err());
-        assert!(read_named("l.txt", b"\xff\xfe").unwrap_err().to_string().contains("UTF-8"));
+        assert!(
+            read_named("l.txt", b"\xff\xfe")
+                .unwrap_err()
+                .to_string()
+                .contains("UTF-8")
+        );
     }
 }

@@ -57,13 +57,17 @@ pub enum CorpusError {
         source_text: String,
     },
     /// An object store, which this command cannot read.
-    #[error("{source_text}: object stores are read by the fleet, which this build does not contain; copy the videos to a directory")]
+    #[error(
+        "{source_text}: object stores are read by the fleet, which this build does not contain; copy the videos to a directory"
+    )]
     ObjectStore {
         /// As typed.
         source_text: String,
     },
     /// Nothing to score.
-    #[error("{sources}: no video found (looked for {extensions}, and directories of numbered images)")]
+    #[error(
+        "{sources}: no video found (looked for {extensions}, and directories of numbered images)"
+    )]
     Empty {
         /// All sources as typed.
         sources: String,

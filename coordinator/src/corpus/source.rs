@@ -37,7 +37,11 @@ struct Found {
 ///
 /// # Errors
 /// [`CorpusError`]: what makes the list wrong, before any work.
-pub fn freeze(sources: &[String], group_by: Option<&GroupBy>, out: &Path) -> Result<Listing, CorpusError> {
+pub fn freeze(
+    sources: &[String],
+    group_by: Option<&GroupBy>,
+    out: &Path,
+) -> Result<Listing, CorpusError> {
     let out = std::fs::canonicalize(out).ok();
     let mut ignored = Ignored::new();
     let mut walked: Vec<(PathBuf, Vec<Found>)> = Vec::new();
@@ -58,7 +62,13 @@ pub fn freeze(sources: &[String], group_by: Option<&GroupBy>, out: &Path) -> Res
         } else if path.symlink_metadata().is_ok() {
             let file = absolute(path);
             let root = file.parent().map(Path::to_path_buf).unwrap_or_default();
-            walked.push((root, vec![Found { path: file, is_sequence: false }]));
+            walked.push((
+                root,
+                vec![Found {
+                    path: file,
+                    is_sequence: false,
+                }],
+            ));
         } else if source.contains(['*', '?', '[']) {
             walked.push(expand_glob(source, out.as_deref())?);
         } else {
@@ -94,7 +104,10 @@ fn absolute(path: &Path) -> PathBuf {
 }
 
 fn is_video_name(path: &Path) -> bool {
-    let extension = path.extension().and_then(OsStr::to_str).map(str::to_ascii_lowercase);
+    let extension = path
+        .extension()
+        .and_then(OsStr::to_str)
+        .map(str::to_ascii_lowercase);
     extension.is_some_and(|extension| VIDEO_EXTENSIONS.contains(&extension.as_str()))
 }
 
@@ -102,13 +115,18 @@ fn is_video_name(path: &Path) -> bool {
 /// video beside them. Hidden files and directories are passed over.
 fn walk(root: &Path, out: Option<&Path>, ignored: &mut Ignored) -> Result<Vec<Found>, CorpusError> {
     let visible = |entry: &DirEntry| {
-        entry.depth() == 0 || !(entry.file_name().as_bytes().starts_with(b".") || Some(entry.path()) == out)
+        entry.depth() == 0
+            || !(entry.file_name().as_bytes().starts_with(b".") || Some(entry.path()) == out)
     };
     let mut found = Vec::new();
     let mut directories = vec![root.to_path_buf()];
     let mut directories_with_video = std::collections::BTreeSet::new();
     let mut other_files = Vec::new();
-    for entry in WalkDir::new(root).follow_links(true).into_iter().filter_entry(visible) {
+    for entry in WalkDir::new(root)
+        .follow_links(true)
+        .into_iter()
+        .filter_entry(visible)
+    {
         let entry = match entry {
             Ok(entry) => entry,
             // A link back to its own ancestor adds nothing new; a dangling link is a file that is
@@ -116,7 +134,10 @@ fn walk(root: &Path, out: Option<&Path>, ignored: &mut Ignored) -> Result<Vec<Fo
             Err(error) if error.loop_ancestor().is_some() => continue,
             Err(error) => match error.path() {
                 Some(path) if path.is_symlink() && is_video_name(path) => {
-                    found.push(Found { path: path.to_path_buf(), is_sequence: false });
+                    found.push(Found {
+                        path: path.to_path_buf(),
+                        is_sequence: false,
+                    });
                     continue;
                 }
                 Some(path) if path.is_symlink() => continue,
@@ -133,7 +154,10 @@ fn walk(root: &Path, out: Option<&Path>, ignored: &mut Ignored) -> Result<Vec<Fo
             directories.push(path);
         } else if is_video_name(&path) {
             directories_with_video.extend(path.parent().map(Path::to_path_buf));
-            found.push(Found { path, is_sequence: false });
+            found.push(Found {
+                path,
+                is_sequence: false,
+            });
         } else {
             other_files.push(path);
         }
@@ -146,12 +170,22 @@ fn walk(root: &Path, out: Option<&Path>, ignored: &mut Ignored) -> Result<Vec<Fo
         }
     }
     for path in other_files {
-        if !path.parent().is_some_and(|parent| sequences.contains(parent)) {
-            let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
+        if !path
+            .parent()
+            .is_some_and(|parent| sequences.contains(parent))
+        {
+            let extension = path
+                .extension()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned();
             *ignored.entry(extension).or_default() += 1;
         }
     }
-    found.extend(sequences.into_iter().map(|path| Found { path, is_sequence: true }));
+    found.extend(sequences.into_iter().map(|path| Found {
+        path,
+        is_sequence: true,
+    }));
     Ok(found)
 }
 
@@ -189,7 +223,10 @@ fn expand_glob(pattern: &str, out: Option<&Path>) -> Result<(PathBuf, Vec<Found>
         if !in_out && matcher.is_match(below) {
             let is_dir = entry.file_type().is_dir();
             if !is_dir || is_image_sequence(entry.path()) {
-                found.push(Found { path: entry.path().to_path_buf(), is_sequence: is_dir });
+                found.push(Found {
+                    path: entry.path().to_path_buf(),
+                    is_sequence: is_dir,
+                });
             }
         }
     }
@@ -201,7 +238,9 @@ fn add_list(path: &Path, named: &mut BTreeMap<VideoId, Entry>) -> Result<(), Cor
     let lines = list::read(path)?;
     for line in lines {
         if line.video.contains("://") {
-            return Err(CorpusError::ObjectStore { source_text: line.video });
+            return Err(CorpusError::ObjectStore {
+                source_text: line.video,
+            });
         }
         let file = directory.join(&line.video);
         let is_sequence = file.is_dir();
@@ -212,7 +251,15 @@ fn add_list(path: &Path, named: &mut BTreeMap<VideoId, Entry>) -> Result<(), Cor
                 reason: format!("{name} stands in the list twice: name each video once"),
             });
         }
-        add(named, name, Found { path: file, is_sequence }, line.carried)?;
+        add(
+            named,
+            name,
+            Found {
+                path: file,
+                is_sequence,
+            },
+            line.carried,
+        )?;
     }
     Ok(())
 }
@@ -246,10 +293,21 @@ fn stat(video: VideoId, found: Found, carried: Map<String, Value>) -> Entry {
     let bytes_of_path = found.path.as_os_str().as_bytes().to_vec();
     let (location, size_and_time) = if found.is_sequence {
         let images = image_files(&found.path).map_err(|error| error.to_string());
-        let all = images.and_then(|images| images.iter().map(|image| size_and_time(image)).collect::<Result<Vec<_>, _>>());
+        let all = images.and_then(|images| {
+            images
+                .iter()
+                .map(|image| size_and_time(image))
+                .collect::<Result<Vec<_>, _>>()
+        });
         let total = all.map(|all| {
             let bytes = all.iter().map(|(bytes, _)| bytes).sum();
-            (bytes, all.iter().map(|(_, modified_ns)| *modified_ns).max().unwrap_or_default())
+            (
+                bytes,
+                all.iter()
+                    .map(|(_, modified_ns)| *modified_ns)
+                    .max()
+                    .unwrap_or_default(),
+            )
         });
         (Location::ImageSequence(bytes_of_path), total)
     } else {
@@ -319,7 +377,11 @@ mod tests {
     use std::fs;
 
     fn names(listing: &Listing) -> Vec<&str> {
-        listing.entries.iter().map(|entry| entry.video.as_str()).collect()
+        listing
+            .entries
+            .iter()
+            .map(|entry| entry.video.as_str())
+            .collect()
     }
 
     fn touch(path: &Path) {
@@ -328,7 +390,10 @@ mod tests {
     }
 
     fn freeze_all(sources: &[&Path], out: &Path) -> Result<Listing, CorpusError> {
-        let sources: Vec<String> = sources.iter().map(|path| path.display().to_string()).collect();
+        let sources: Vec<String> = sources
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect();
         freeze(&sources, None, out)
     }
 
@@ -336,11 +401,22 @@ mod tests {
     fn a_directory_is_walked_sorted_and_without_out_or_hidden_files() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path();
-        for name in ["b.mp4", "a/c d.MOV", "a/.hidden.mp4", "out/x.mp4", "notes.txt", "a/ü\n.webm", "-x.gif"] {
+        for name in [
+            "b.mp4",
+            "a/c d.MOV",
+            "a/.hidden.mp4",
+            "out/x.mp4",
+            "notes.txt",
+            "a/ü\n.webm",
+            "-x.gif",
+        ] {
             touch(&root.join(name));
         }
         let listing = freeze_all(&[root], &root.join("out")).unwrap();
-        assert_eq!(names(&listing), ["-x.gif", "a/c d.MOV", "a/ü\n.webm", "b.mp4"]);
+        assert_eq!(
+            names(&listing),
+            ["-x.gif", "a/c d.MOV", "a/ü\n.webm", "b.mp4"]
+        );
         assert_eq!(listing.ignored, BTreeMap::from([("txt".to_owned(), 1)]));
     }
 
@@ -359,7 +435,8 @@ mod tests {
             touch(&dir.path().join(name));
         }
         let (real, generated) = (dir.path().join("real"), dir.path().join("generated"));
-        let listing = freeze_all(&[&real, &generated, &real.join("a.mp4")], Path::new("out")).unwrap();
+        let listing =
+            freeze_all(&[&real, &generated, &real.join("a.mp4")], Path::new("out")).unwrap();
         assert_eq!(names(&listing), ["generated/a.mp4", "real/a.mp4"]);
     }
 
@@ -384,7 +461,12 @@ mod tests {
         assert!(listing.entries[0].problem.is_none());
         assert!(listing.entries[1].problem.is_some());
         fs::write(&list, "a.mp4\n./a.mp4\n").unwrap();
-        assert!(freeze_all(&[&list], Path::new("out")).unwrap_err().to_string().contains("twice"));
+        assert!(
+            freeze_all(&[&list], Path::new("out"))
+                .unwrap_err()
+                .to_string()
+                .contains("twice")
+        );
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(super) fn worst(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
             html! { p.lead { "No video has a score, so there is no ranking. The reasons stand under “Not scored”." } }
         } else {
             html! {
-                p.lead { "The " (text::length(shown)) " highest anomaly scores. Picture: the frame with the largest jump of the reprojection error, beside it where the residual lies. The bar is the 90% interval, its tick stands at 0." }
+                p.lead { (the_scores(shown, "highest")) " Picture: the frame with the largest jump of the reprojection error, beside it where the residual lies. The bar is the 90% interval, its tick stands at 0." }
                 (cards(input, judged, videos.iter()))
             }
         }),
@@ -37,10 +37,17 @@ pub(super) fn best(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
         title: "Most consistent",
         body: (!videos.is_empty()).then(|| {
             html! {
-                p.lead { "The " (text::length(shown)) " lowest anomaly scores. Look at their motion: a video that hardly moves has little to be wrong about." }
+                p.lead { (the_scores(shown, "lowest")) " Look at their motion: a video that hardly moves has little to be wrong about." }
                 (cards(input, judged, videos.iter().rev()))
             }
         }),
+    }
+}
+
+fn the_scores(shown: usize, end: &str) -> String {
+    match shown {
+        1 => format!("The {end} anomaly score."),
+        _ => format!("The {} {end} anomaly scores.", text::length(shown)),
     }
 }
 

@@ -81,10 +81,11 @@ struct Peak {
     heat: Plane,
 }
 
-/// Forward and backward flow between two frames.
+/// Forward and backward flow between two frames, and how well they agree.
 struct BothWays {
     forward: Flow,
     backward: Flow,
+    end_point: EndPointError,
 }
 
 /// A clip being measured.
@@ -186,7 +187,18 @@ impl<'a> Clip<'a> {
         let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(error)?;
         let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(error)?;
         self.spent.flow += started.elapsed();
-        Ok(BothWays { forward, backward })
+        let started = Instant::now();
+        let end_point = EndPointError::new(&forward, &backward, &self.profile.consistency)
+            .map_err(|source| ClipError::Consistency {
+                frame: later.index,
+                source,
+            })?;
+        self.spent.signals += started.elapsed();
+        Ok(BothWays {
+            forward,
+            backward,
+            end_point,
+        })
     }
 
     /// End-point errors and signals of an adjacent pair.
@@ -202,71 +214,10 @@ impl<'a> Clip<'a> {
         };
         let started = Instant::now();
         let params = &self.profile.consistency;
-        let end_point =
-            EndPointError::new(&flows.forward, &flows.backward, params).map_err(error)?;
-        let worldscore = worldscore_epe(&flows.forward, &flows.backward).map_err(error)?;
-        let forward = GridFlow::new(&flows.forward, params).map_err(error)?;
-        let backward = GridFlow::new(&flows.backward, params).map_err(error)?;
-        let evidence = Evidence::new(
-            &forward,
-            &backward,
-            &earlier.normalised,
-            &later.normalised,
-            params,
-        )
-        .map_err(error)?;
-        let signals = PairSignals::new(
-            &evidence,
-            &end_point,
-            &worldscore,
-            params,
-            &self.profile.signals,
-        );
-        let is_worst = |error_px: f64| {
-            self.peak
-                .as_ref()
-                .is_none_or(|peak| error_px > peak.error_px)
-        };
-        if let Some(error_px) = signals.aepe_px.filter(|error_px| is_worst(*error_px)) {
-            // The map of the way back lies on the later frame, which is the one shown.
-            let back =
-                EndPointError::new(&flows.backward, &flows.forward, params).map_err(error)?;
-            self.peak = Some(Peak {
-                error_px,
-                frame: later.rgb.clone(),
-                heat: Plane {
-                    width: back.width,
-                    height: back.height,
-                    data: back
-                        .error_px
-                        .iter()
-                        .map(|error| error.unwrap_or(0.0))
-                        .collect(),
-                },
-            });
-        }
-        self.pairs.push(Pair {
-            frame: later.index,
-            signals,
-        });
-        self.spent.signals += started.elapsed();
-        Ok(())
-    }
-
-    /// Motion models of one edge; each correspondence weighs by how well the two directions agree.
-    fn geometric(&mut self, from: u32, to: u32, flows: &BothWays) -> Result<(), ClipError> {
-        let Some(solver) = &mut self.solver else {
-            return Ok(());
-        };
-        let started = Instant::now();
-        let error = |source| ClipError::Geometry { frame: to, source };
-        let end_point =
-            EndPointError::new(&flows.forward, &flows.backward, &self.profile.consistency)
-                .map_err(|source| ClipError::Consistency { frame: to, source })?;
         let width = flows.forward.width;
         let unit_px = self.profile.consistency.reference_height_px / flows.forward.height as f64;
         let weight_at = |x: usize, y: usize| {
-            let error_px = f64::from(end_point.error_px[y * width + x]?);
+            let error_px = f64::from(flows.end_point.error_px[y * width + x]?);
             Some((1.0 / (1.0 + error_px * error_px)).max(LEAST_WEIGHT))
         };
         let field =
