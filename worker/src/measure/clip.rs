@@ -214,6 +214,62 @@ impl<'a> Clip<'a> {
         };
         let started = Instant::now();
         let params = &self.profile.consistency;
+        let worldscore = worldscore_epe(&flows.forward, &flows.backward).map_err(error)?;
+        let forward = GridFlow::new(&flows.forward, params).map_err(error)?;
+        let backward = GridFlow::new(&flows.backward, params).map_err(error)?;
+        let evidence = Evidence::new(
+            &forward,
+            &backward,
+            &earlier.normalised,
+            &later.normalised,
+            params,
+        )
+        .map_err(error)?;
+        let signals = PairSignals::new(
+            &evidence,
+            &flows.end_point,
+            &worldscore,
+            params,
+            &self.profile.signals,
+        );
+        let is_worst = |error_px: f64| {
+            self.peak
+                .as_ref()
+                .is_none_or(|peak| error_px > peak.error_px)
+        };
+        if let Some(error_px) = signals.aepe_px.filter(|error_px| is_worst(*error_px)) {
+            // The map of the way back lies on the later frame, which is the one shown.
+            let back =
+                EndPointError::new(&flows.backward, &flows.forward, params).map_err(error)?;
+            self.peak = Some(Peak {
+                error_px,
+                frame: later.rgb.clone(),
+                heat: Plane {
+                    width: back.width,
+                    height: back.height,
+                    data: back
+                        .error_px
+                        .iter()
+                        .map(|error| error.unwrap_or(0.0))
+                        .collect(),
+                },
+            });
+        }
+        self.pairs.push(Pair {
+            frame: later.index,
+            signals,
+        });
+        self.spent.signals += started.elapsed();
+        Ok(())
+    }
+
+    /// Motion models of one edge; each correspondence weighs by how well the two directions agree.
+    fn geometric(&mut self, from: u32, to: u32, flows: &BothWays) -> Result<(), ClipError> {
+        let Some(solver) = &mut self.solver else {
+            return Ok(());
+        };
+        let started = Instant::now();
+        let error = |source| ClipError::Geometry { frame: to, source };
         let width = flows.forward.width;
         let unit_px = self.profile.consistency.reference_height_px / flows.forward.height as f64;
         let weight_at = |x: usize, y: usize| {
