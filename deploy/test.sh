@@ -4,7 +4,7 @@
 #   unit      formatting, lints, documentation, and the tests beside the code
 #   cli       end-to-end tests of the built command
 #   parity    numbers of the reference implementations
-#   numerics  numerical extremes
+#   numerics  flow, geometry and statistics, with their extremes
 # Without a name: all of them.
 . "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 
@@ -29,12 +29,12 @@ run() {
     cargo nextest run --locked --workspace --no-fail-fast -E "$1"
 }
 
-parity='binary(/^parity/)'
-numerics='binary(/^numerics/)'
 cli='package(plumbline-tests)'
+parity='binary(/^parity/)'
+numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
     unit) lint; run "not ($cli) and not ($parity) and not ($numerics)" ;;
-    cli) run "$cli and not ($parity) and not ($numerics)" ;;
+    cli) run "$cli" ;;
     parity) run "$parity" ;;
     numerics) run "$numerics" ;;
     all) lint; run 'all()' ;;

@@ -89,6 +89,7 @@ impl Settings {
 }
 
 #[cfg(test)]
+#[expect(clippy::result_large_err, reason = "the closure's type is figment::Jail's")]
 mod tests {
     use super::*;
 

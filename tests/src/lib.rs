@@ -1,1 +1,18 @@
 //! Plumbline: end-to-end tests over the built commands.
+//!
+//! The library is what the suites share: the built binary ([`binary`]), small clips ([`clips`]), runs
+//! with a deadline ([`run`]), what a run published ([`published`]), other processes ([`process`]). The
+//! suites are test binaries: `cli` runs the `plumbline` command. Everything here fails by panicking.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+pub mod binary;
+pub mod clips;
+pub mod process;
+pub mod published;
+pub mod run;

@@ -1,0 +1,20 @@
+//! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
+//!
+//! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
+//! `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
+//! processes. `paper`: the published numbers, recomputed by hand.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "a test fails by panicking, and says what it could not try"
+)]
+
+mod hostile;
+mod main_path;
+mod paper;
+mod resume;
+mod sources;
+mod system;
