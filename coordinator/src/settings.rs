@@ -89,7 +89,10 @@ impl Settings {
 }
 
 #[cfg(test)]
-#[expect(clippy::result_large_err, reason = "the closure's type is figment::Jail's")]
+#[expect(
+    clippy::result_large_err,
+    reason = "the closure's type is figment::Jail's"
+)]
 mod tests {
     use super::*;
 

@@ -13,7 +13,10 @@ pub fn plumbline() -> &'static Path {
     BINARY.get_or_init(|| {
         // target/<profile>/deps/<test>
         let test = std::env::current_exe().expect("the test has a path");
-        let profile_directory = test.ancestors().nth(2).expect("tests lie in target/<profile>/deps");
+        let profile_directory = test
+            .ancestors()
+            .nth(2)
+            .expect("tests lie in target/<profile>/deps");
         let binary = profile_directory.join(format!("plumbline{}", std::env::consts::EXE_SUFFIX));
         if !is_current(&binary) {
             build(profile_directory);
@@ -49,7 +52,14 @@ fn build(profile_directory: &Path) {
     };
     let target = profile_directory.parent().expect("target/<profile>");
     let status = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .args(["build", "--quiet", "--package", "plumbline-coordinator", "--bin", "plumbline"])
+        .args([
+            "build",
+            "--quiet",
+            "--package",
+            "plumbline-coordinator",
+            "--bin",
+            "plumbline",
+        ])
         .args(["--profile", profile, "--target-dir"])
         .arg(target)
         .current_dir(env!("CARGO_MANIFEST_DIR"))

@@ -76,7 +76,9 @@ pub fn write_short(path: &Path, seed: u64, count: usize) {
 /// Replaces the first occurrence of `pattern` in a file by as many other bytes.
 pub fn patch(path: &Path, pattern: &[u8], with: &[u8]) {
     let mut bytes = std::fs::read(path).expect("the clip reads");
-    let found = bytes.windows(pattern.len()).position(|window| window == pattern);
+    let found = bytes
+        .windows(pattern.len())
+        .position(|window| window == pattern);
     let at = found.expect("the pattern is in the clip");
     bytes[at..at + with.len()].copy_from_slice(with);
     std::fs::write(path, bytes).expect("the clip is written");

@@ -74,7 +74,10 @@ pub fn wait_until(what: &str, deadline: Duration, mut condition: impl FnMut() ->
     const INTERVAL: Duration = Duration::from_millis(5);
     let started = Instant::now();
     while !condition() {
-        assert!(started.elapsed() < deadline, "waited {deadline:?} in vain: {what}");
+        assert!(
+            started.elapsed() < deadline,
+            "waited {deadline:?} in vain: {what}"
+        );
         std::thread::sleep(INTERVAL);
     }
 }

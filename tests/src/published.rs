@@ -62,21 +62,26 @@ impl Published {
     /// A JSON Lines table.
     pub fn jsonl(&self, name: &str) -> Vec<Row> {
         let text = String::from_utf8(self.read(name)).expect("UTF-8");
-        let lines = text.lines().map(|line| serde_json::from_str(line).expect("a JSON object a line"));
+        let lines = text
+            .lines()
+            .map(|line| serde_json::from_str(line).expect("a JSON object a line"));
         lines.collect()
     }
 
     /// A CSV table; an empty cell is a missing value.
     pub fn csv(&self, name: &str) -> Vec<BTreeMap<String, String>> {
         let mut reader = csv::Reader::from_path(self.path(name)).expect("the table opens");
-        let rows = reader.deserialize().map(|row| row.expect("a row under the header"));
+        let rows = reader
+            .deserialize()
+            .map(|row| row.expect("a row under the header"));
         rows.collect()
     }
 
     /// A Parquet table.
     pub fn parquet(&self, name: &str) -> Vec<Row> {
         let file = File::open(self.path(name)).expect("the table opens");
-        let reader = ParquetRecordBatchReaderBuilder::try_new(file).and_then(|builder| builder.build());
+        let reader =
+            ParquetRecordBatchReaderBuilder::try_new(file).and_then(|builder| builder.build());
         let mut json = Vec::new();
         let mut writer = arrow_json::WriterBuilder::new()
             .with_explicit_nulls(true)
@@ -87,7 +92,9 @@ impl Published {
         writer.finish().expect("JSON");
         drop(writer);
         let text = String::from_utf8(json).expect("UTF-8");
-        let lines = text.lines().map(|line| serde_json::from_str(line).expect("a JSON object a line"));
+        let lines = text
+            .lines()
+            .map(|line| serde_json::from_str(line).expect("a JSON object a line"));
         lines.collect()
     }
 
@@ -98,7 +105,10 @@ impl Published {
         for directory in ["", "manifests"] {
             let entries = std::fs::read_dir(self.directory.join(directory)).expect("OUT lists");
             for entry in entries.map(|entry| entry.expect("entry")) {
-                let name = Path::new(directory).join(entry.file_name()).display().to_string();
+                let name = Path::new(directory)
+                    .join(entry.file_name())
+                    .display()
+                    .to_string();
                 let differs = name.starts_with("costs.") || name == "report.html";
                 if entry.path().is_file() && !differs {
                     let bytes = self.read(&name);
@@ -141,20 +151,30 @@ impl Published {
         let mut listed = BTreeMap::new();
         for manifest in MANIFESTS {
             let lines = self.jsonl(&format!("manifests/{manifest}.jsonl"));
-            assert_eq!(self.parquet(&format!("manifests/{manifest}.parquet")), lines, "{manifest}");
+            assert_eq!(
+                self.parquet(&format!("manifests/{manifest}.parquet")),
+                lines,
+                "{manifest}"
+            );
             for line in lines {
                 let video = line["video"].as_str().expect("a name").to_owned();
                 assert_eq!(line["decision"], manifest, "{video}");
                 let path = line["path"].as_str().expect("a path");
                 assert!(Path::new(path).is_absolute(), "{path}");
-                assert!(listed.insert(video.clone(), manifest).is_none(), "{video} is listed twice");
+                assert!(
+                    listed.insert(video.clone(), manifest).is_none(),
+                    "{video} is listed twice"
+                );
             }
         }
         let decided: BTreeMap<String, &str> = rows
             .iter()
             .map(|row| {
                 let decision = row["decision"].as_str().expect("a decision");
-                let manifest = MANIFESTS.iter().find(|name| **name == decision).expect("a manifest");
+                let manifest = MANIFESTS
+                    .iter()
+                    .find(|name| **name == decision)
+                    .expect("a manifest");
                 (row["video"].as_str().expect("a name").to_owned(), *manifest)
             })
             .collect();
@@ -178,7 +198,11 @@ impl Published {
             let is_scored = row["status"] == "scored";
             assert_eq!(row["status_reason"].is_null(), is_scored, "{row:?}");
             assert!(is_scored || row["anomaly"].is_null(), "{row:?}");
-            assert_eq!(row["decision"] == "review", row["anomaly"].is_null(), "{row:?}");
+            assert_eq!(
+                row["decision"] == "review",
+                row["anomaly"].is_null(),
+                "{row:?}"
+            );
         }
     }
 
@@ -186,25 +210,37 @@ impl Published {
     fn expect_corpus_last(&self) {
         let modified = |name: &str| {
             let metadata = std::fs::metadata(self.path(name));
-            metadata.and_then(|metadata| metadata.modified()).expect("a time")
+            metadata
+                .and_then(|metadata| metadata.modified())
+                .expect("a time")
         };
         let last = modified("corpus.json");
-        let others = self.stable_files().into_keys().chain(["report.html".to_owned()]);
+        let others = self
+            .stable_files()
+            .into_keys()
+            .chain(["report.html".to_owned()]);
         for name in others {
-            assert!(modified(&name) <= last, "{name} was written after corpus.json");
+            assert!(
+                modified(&name) <= last,
+                "{name} was written after corpus.json"
+            );
         }
     }
 }
 
 /// The names of rows, in their order.
 pub fn names(rows: &[Row]) -> Vec<&str> {
-    rows.iter().map(|row| row["video"].as_str().expect("a name")).collect()
+    rows.iter()
+        .map(|row| row["video"].as_str().expect("a name"))
+        .collect()
 }
 
 /// A number of a row; fails where it is missing.
 #[track_caller]
 pub fn number(row: &Row, column: &str) -> f64 {
-    row[column].as_f64().unwrap_or_else(|| panic!("{column} of {} is {}", row["video"], row[column]))
+    row[column]
+        .as_f64()
+        .unwrap_or_else(|| panic!("{column} of {} is {}", row["video"], row[column]))
 }
 
 /// The values of a column of names.

@@ -117,14 +117,21 @@ pub struct Ended {
 impl Started {
     /// Starts a command; its output goes to files, so that no full pipe stops it.
     pub fn start(command: &mut Command) -> Self {
-        let (stdout, stderr) = (tempfile::tempfile().expect("file"), tempfile::tempfile().expect("file"));
+        let (stdout, stderr) = (
+            tempfile::tempfile().expect("file"),
+            tempfile::tempfile().expect("file"),
+        );
         let child = command
             .stdin(Stdio::null())
             .stdout(stdout.try_clone().expect("second handle"))
             .stderr(stderr.try_clone().expect("second handle"))
             .spawn()
             .expect("the command starts");
-        Self { child, stdout, stderr }
+        Self {
+            child,
+            stdout,
+            stderr,
+        }
     }
 
     /// Its process id.
@@ -148,7 +155,10 @@ impl Started {
         while self.is_running() {
             if started.elapsed() > DEADLINE {
                 let _gone = self.child.kill();
-                panic!("no end within {DEADLINE:?}; standard error:\n{}", all_of(&mut self.stderr));
+                panic!(
+                    "no end within {DEADLINE:?}; standard error:\n{}",
+                    all_of(&mut self.stderr)
+                );
             }
             std::thread::sleep(Duration::from_millis(5));
         }
@@ -178,14 +188,25 @@ impl Ended {
     /// Fails unless it ended with this exit code.
     #[track_caller]
     pub fn expect_code(self, code: i32) -> Self {
-        assert_eq!(self.status.code(), Some(code), "{}; standard error:\n{}", self.status, self.stderr);
+        assert_eq!(
+            self.status.code(),
+            Some(code),
+            "{}; standard error:\n{}",
+            self.status,
+            self.stderr
+        );
         self
     }
 
     /// Fails unless this signal ended it.
     #[track_caller]
     pub fn expect_signal(self, signal: Signal) -> Self {
-        assert_eq!(self.status.signal(), Some(signal.as_raw()), "{}", self.stderr);
+        assert_eq!(
+            self.status.signal(),
+            Some(signal.as_raw()),
+            "{}",
+            self.stderr
+        );
         self
     }
 
@@ -193,13 +214,18 @@ impl Ended {
     #[track_caller]
     pub fn expect_line(self, words: &[&str]) -> Self {
         let holds = |line: &str| words.iter().all(|word| line.contains(word));
-        assert!(self.stderr.lines().any(holds), "no line with {words:?} in:\n{}", self.stderr);
+        assert!(
+            self.stderr.lines().any(holds),
+            "no line with {words:?} in:\n{}",
+            self.stderr
+        );
         self
     }
 
     /// Standard output as JSON.
     #[track_caller]
     pub fn json(&self) -> serde_json::Value {
-        serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {:?}", self.stdout))
+        serde_json::from_str(&self.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {:?}", self.stdout))
     }
 }

@@ -12,7 +12,7 @@ use crate::corpus::GroupBy;
 use crate::fanout::Slots;
 use crate::publish::Format;
 use crate::reduce::ReduceOptions;
-use crate::reduce::outcome::{Range, Recipe};
+use crate::reduce::outcome::{NormaliseWithin, Range, Recipe};
 use crate::reduce::select::KeepRule;
 use crate::run::{self, RunError, ScoreOptions};
 use crate::settings::Settings;
@@ -70,6 +70,9 @@ pub(super) struct ScoreArgs {
     /// Histogram range behind the entropy weights
     #[arg(long, value_enum, default_value = "full")]
     range: Range,
+    /// Population behind the z-scores; `group` for groups of different cameras, sizes or frame rates
+    #[arg(long, value_enum, default_value = "corpus")]
+    normalise_within: NormaliseWithin,
     /// Wall time for one video, seconds
     #[arg(long, value_name = "SECONDS")]
     deadline: Option<f64>,
@@ -182,7 +185,7 @@ impl ScoreArgs {
                 range: self.range,
                 keep: self.keep,
                 profile_digest,
-                normalise_within_group: false,
+                normalise_within: self.normalise_within,
             },
             resume: !self.no_resume,
             formats: self.format.into_iter().map(Format::from).collect(),

@@ -286,6 +286,7 @@ fn corpus() -> CorpusFile {
             recipe: Recipe::Paper,
             bins: 30,
             range: Range::Full,
+            normalised_within: crate::reduce::outcome::NormaliseWithin::Corpus,
             keep: "80%".to_owned(),
             corpus: population.clone(),
             groups: BTreeMap::from([("kitchen".to_owned(), population)]),

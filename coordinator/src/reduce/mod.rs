@@ -33,7 +33,7 @@ use plumbline_common::row::{Decision, Measurement, Row, Status};
 use serde_json::{Map, Value};
 
 use interval::{IntervalParams, anomaly_interval};
-use outcome::{CorpusStatistics, Population, Range, Recipe};
+use outcome::{CorpusStatistics, NormaliseWithin, Population, Range, Recipe};
 use population::{Surveyed, survey};
 use recipe::{BySignal, Signal};
 use rewards::{Reward, Scored, reward};
@@ -56,9 +56,8 @@ pub struct ReduceOptions {
     pub keep: KeepRule,
     /// Digest of the profile that measured the rows.
     pub profile_digest: String,
-    /// Score the rows of a group against their group instead of the whole corpus (rows without a
-    /// group: against the whole corpus).
-    pub normalise_within_group: bool,
+    /// Which population a row is scored against (rows without a group: always the corpus).
+    pub normalise_within: NormaliseWithin,
 }
 
 /// One video's measurement, with what the source says of it.
@@ -119,7 +118,7 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
             let own = video
                 .group
                 .as_ref()
-                .filter(|_| options.normalise_within_group);
+                .filter(|_| options.normalise_within == NormaliseWithin::Group);
             score(video_population(own, &groups, &corpus), video, options)
         })
         .collect();
@@ -132,8 +131,7 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
         &populations,
         &corpus.population,
         fragility.as_ref(),
-        options.recipe,
-        options.bins.get(),
+        options,
         rejected,
     );
     let statistics = CorpusStatistics {
@@ -148,6 +146,7 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
         recipe: options.recipe,
         bins: options.bins.get().into(),
         range: options.range,
+        normalised_within: options.normalise_within,
         keep: options.keep.to_string(),
         corpus: corpus.population,
         groups: groups
@@ -291,7 +290,7 @@ fn scored_against<'a>(
     groups: &'a BTreeMap<String, Surveyed>,
     options: &ReduceOptions,
 ) -> Vec<(String, &'a Population)> {
-    if options.normalise_within_group && !groups.is_empty() {
+    if options.normalise_within == NormaliseWithin::Group && !groups.is_empty() {
         return groups
             .iter()
             .map(|(name, group)| (format!("group {name}"), &group.population))

@@ -24,6 +24,16 @@ pub enum Range {
     Winsorised,
 }
 
+/// The population whose statistics make a row's z-scores.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum NormaliseWithin {
+    /// The whole corpus.
+    Corpus,
+    /// The row's own group: for groups of different cameras, sizes or frame rates.
+    Group,
+}
+
 /// The statistics of one signal over the scored rows that have it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SignalStatistics {
@@ -90,9 +100,11 @@ pub struct CorpusStatistics {
     pub bins: u32,
     /// Histogram range.
     pub range: Range,
+    /// What z-scores and weights come from.
+    pub normalised_within: NormaliseWithin,
     /// The keep rule as given.
     pub keep: String,
-    /// The whole corpus: what z-scores and weights come from.
+    /// The whole corpus.
     pub corpus: Population,
     /// Each group on its own, for comparison side by side (empty without groups).
     pub groups: BTreeMap<String, Population>,

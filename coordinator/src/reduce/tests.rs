@@ -16,7 +16,7 @@ fn options(recipe: Recipe, n: u16, keep: &str) -> ReduceOptions {
         range: Range::Full,
         keep: keep.parse().unwrap(),
         profile_digest: "digest".to_owned(),
-        normalise_within_group: false,
+        normalise_within: NormaliseWithin::Corpus,
     }
 }
 
@@ -152,7 +152,7 @@ fn groups_are_selected_and_normalised_on_their_own() {
     assert_eq!(found.statistics.groups["x"].n, 2);
     assert_eq!(found.rows[3].z_aepe_worldscore_px, Some(1.0));
     // Within y, s_p is constant and s_3 = 0 4: z = −1, 1. Within x both are constant: scores 0.
-    o.normalise_within_group = true;
+    o.normalise_within = NormaliseWithin::Group;
     let found = reduce(videos, &o);
     let scores: Vec<_> = found.rows.iter().map(|row| row.anomaly).collect();
     assert_eq!(scores, [Some(0.0), Some(0.0), Some(-1.0), Some(1.0)]);

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use plumbline_common::row::{Row, Status};
 
-use super::outcome::{Population, Recipe, WeightSensitivity};
+use super::ReduceOptions;
+use super::outcome::{NormaliseWithin, Population, Recipe, WeightSensitivity};
 use super::recipe::signals_of;
 
 /// Weights that differ by more than this under other choices are called fragile (design section 8).
@@ -19,10 +20,10 @@ pub fn warnings(
     populations: &[(String, &Population)],
     corpus: &Population,
     sensitivity: Option<&WeightSensitivity>,
-    recipe: Recipe,
-    bins: u16,
+    options: &ReduceOptions,
     rejected: u64,
 ) -> Vec<String> {
+    let (recipe, bins) = (options.recipe, options.bins.get());
     let mut warnings = Vec::new();
     if rejected > 0 {
         warnings.push(format!(
@@ -53,10 +54,10 @@ pub fn warnings(
     if let (Recipe::Paper, Some(sensitivity)) = (recipe, sensitivity) {
         warnings.extend(of_weights(corpus, sensitivity));
     }
-    if groups_differ(rows) {
+    if options.normalise_within == NormaliseWithin::Corpus && groups_differ(rows) {
         warnings.push(
             "groups differ in picture size or frame rate, which scores follow too: compare within a \
-             group, or normalise within groups"
+             group, or use --normalise-within group"
                 .to_owned(),
         );
     }

@@ -167,6 +167,7 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
             recipe,
             bins: 30,
             range: Range::Full,
+            normalised_within: crate::reduce::outcome::NormaliseWithin::Corpus,
             keep: "80%".to_owned(),
             corpus: population(&all),
             groups: groups

@@ -21,7 +21,7 @@ pub(super) fn worst(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
             html! { p.lead { "No video has a score, so there is no ranking. The reasons stand under “Not scored”." } }
         } else {
             html! {
-                p.lead { (the_scores(shown, "highest")) " Picture: the frame with the largest jump of the reprojection error, beside it where the residual lies. The bar is the 90% interval, its tick stands at 0." }
+                p.lead { (the_scores(shown, "highest")) " Picture: the frame with the largest end-point error, beside it where that error lies (black 0, bright 5 px and more). The bar is the 90% interval, its tick stands at 0." }
                 (cards(input, judged, videos.iter()))
             }
         }),

@@ -33,15 +33,24 @@ fn every_video_is_scored_once_and_standard_output_stays_empty() {
         .expect_line(&["passed over", "1 .txt"])
         .expect_line(&["6 measured now"])
         .expect_line(&["report:", "report.html"]);
-    assert!(!ended.stderr.contains('\u{1b}'), "no colours or bars where nobody looks");
+    assert!(
+        !ended.stderr.contains('\u{1b}'),
+        "no colours or bars where nobody looks"
+    );
 
     let published = place.published("out");
     published.expect_whole(&SIX);
     let corpus = published.corpus();
     assert_eq!(corpus["statuses"]["scored"], 6);
-    assert_eq!((&corpus["decisions"]["keep"], &corpus["keep"]), (&5.into(), &"80%".into()));
+    assert_eq!(
+        (&corpus["decisions"]["keep"], &corpus["keep"]),
+        (&5.into(), &"80%".into())
+    );
     for row in published.rows() {
-        assert_eq!((&row["width"], &row["height"], &row["frames"]), (&64.into(), &48.into(), &10.into()));
+        assert_eq!(
+            (&row["width"], &row["height"], &row["frames"]),
+            (&64.into(), &48.into(), &10.into())
+        );
         assert_eq!(row["digest"].as_str().unwrap().len(), 64);
         assert!(number(&row, "motion_px") > 0.0);
         assert_eq!(number(&row, "reward"), -number(&row, "anomaly"));
@@ -50,21 +59,39 @@ fn every_video_is_scored_once_and_standard_output_stays_empty() {
     assert_eq!(names(&rewards), names(&published.rows()));
     assert_eq!(published.jsonl("costs.jsonl").len(), 6);
     let report = std::fs::read_to_string(published.path("report.html")).unwrap();
-    assert!(SIX.iter().all(|video| report.contains(video)), "the report names every video");
+    assert!(
+        SIX.iter().all(|video| report.contains(video)),
+        "the report names every video"
+    );
 }
 
 #[test]
 fn the_json_summary_is_all_of_standard_output() {
     let place = six_clips();
-    let ended = place.run("out", &["--json", "--keep", "2"]).expect_code(0).expect_line(&["report:"]);
+    let ended = place
+        .run("out", &["--json", "--keep", "2"])
+        .expect_code(0)
+        .expect_line(&["report:"]);
     let summary = ended.json();
-    assert_eq!((&summary["videos"], &summary["measured_now"]), (&6.into(), &6.into()));
+    assert_eq!(
+        (&summary["videos"], &summary["measured_now"]),
+        (&6.into(), &6.into())
+    );
     assert_eq!(summary["statuses"]["scored"], 6);
-    assert_eq!((&summary["decisions"]["keep"], &summary["decisions"]["drop"]), (&2.into(), &4.into()));
+    assert_eq!(
+        (&summary["decisions"]["keep"], &summary["decisions"]["drop"]),
+        (&2.into(), &4.into())
+    );
     for file in summary["files"].as_array().unwrap() {
-        assert!(place.path("out").join(file.as_str().unwrap()).is_file(), "{file}");
+        assert!(
+            place.path("out").join(file.as_str().unwrap()).is_file(),
+            "{file}"
+        );
     }
-    assert_eq!(summary["files"].as_array().unwrap().last().unwrap(), "corpus.json");
+    assert_eq!(
+        summary["files"].as_array().unwrap().last().unwrap(),
+        "corpus.json"
+    );
     place.published("out").expect_whole(&SIX);
 }
 
@@ -72,11 +99,22 @@ fn the_json_summary_is_all_of_standard_output() {
 fn formats_are_what_was_asked_for_and_older_ones_go() {
     let place = Place::with_clips(2);
     place.run("out", &[]).expect_code(0);
-    place.run("out", &["--format", "csv"]).expect_code(0).expect_line(&["0 measured now"]);
+    place
+        .run("out", &["--format", "csv"])
+        .expect_code(0)
+        .expect_line(&["0 measured now"]);
     let published = place.published("out");
     assert_eq!(published.csv("scores.csv").len(), 2);
-    for stale in ["scores.jsonl", "scores.parquet", "manifests/keep.parquet", "costs.parquet"] {
-        assert!(!published.path(stale).exists(), "{stale} would contradict this run");
+    for stale in [
+        "scores.jsonl",
+        "scores.parquet",
+        "manifests/keep.parquet",
+        "costs.parquet",
+    ] {
+        assert!(
+            !published.path(stale).exists(),
+            "{stale} would contradict this run"
+        );
     }
     assert_eq!(published.jsonl("manifests/keep.jsonl").len(), 2);
 }
@@ -85,11 +123,17 @@ fn formats_are_what_was_asked_for_and_older_ones_go() {
 fn a_still_clip_is_static_and_that_is_no_failure() {
     let place = Place::with_clips(3);
     clips::write_still(&place.video("still.mp4"), 1);
-    place.run("out", &[]).expect_code(0).expect_line(&["static: still.mp4", "insufficient evidence"]);
+    place
+        .run("out", &[])
+        .expect_code(0)
+        .expect_line(&["static: still.mp4", "insufficient evidence"]);
     let published = place.published("out");
     published.expect_whole(&["clip-00.mp4", "clip-01.mp4", "clip-02.mp4", "still.mp4"]);
     let row = published.row("still.mp4");
-    assert_eq!((&row["status"], &row["decision"]), (&"static".into(), &"review".into()));
+    assert_eq!(
+        (&row["status"], &row["decision"]),
+        (&"static".into(), &"review".into())
+    );
     assert!(row["anomaly"].is_null() && row["reward"].is_null());
 }
 
@@ -110,18 +154,30 @@ fn usage_errors_say_what_to_do_and_write_nothing() {
         (&["videos"], "--out"),
         (&["--out", "out"], "SOURCE"),
         (&["videos", "--out", "out", "--keep", "0%"], "keeps nothing"),
-        (&["videos", "--out", "out", "--group-by", "path:0"], "path:1"),
+        (
+            &["videos", "--out", "out", "--group-by", "path:0"],
+            "path:1",
+        ),
         (&["videos", "--out", "out", "--group-by", "task"], "path:N"),
         (&["videos", "--out", "out", "--deadline", "0"], "above 0"),
         (&["videos", "--out", "out", "--memory", "1"], "256 or more"),
-        (&["s3://bucket/videos", "--out", "out"], "copy the videos to a directory"),
+        (
+            &["s3://bucket/videos", "--out", "out"],
+            "copy the videos to a directory",
+        ),
     ];
     for (words, remedy) in cases {
-        let ended = Started::start(&mut place.score(words)).wait().expect_code(2);
+        let ended = Started::start(&mut place.score(words))
+            .wait()
+            .expect_code(2);
         assert!(ended.stderr.contains(remedy), "{words:?}: {}", ended.stderr);
         assert!(!place.path("out").exists(), "{words:?}");
     }
     std::fs::write(place.path("plumbline.toml"), "[compute]\nmemory = 3\n").unwrap();
     let ended = place.run("out", &[]).expect_code(2);
-    assert!(ended.stderr.contains("plumbline.toml") && ended.stderr.contains("memory"), "{}", ended.stderr);
+    assert!(
+        ended.stderr.contains("plumbline.toml") && ended.stderr.contains("memory"),
+        "{}",
+        ended.stderr
+    );
 }

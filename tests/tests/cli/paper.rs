@@ -15,17 +15,28 @@ const VIDEOS: u64 = 11;
 
 #[track_caller]
 fn close(found: f64, expected: f64, what: &str) {
-    assert!((found - expected).abs() <= TOLERANCE * expected.abs().max(1.0), "{what}: {found}, by hand {expected}");
+    assert!(
+        (found - expected).abs() <= TOLERANCE * expected.abs().max(1.0),
+        "{what}: {found}, by hand {expected}"
+    );
 }
 
 fn floats(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|number| number.as_f64().unwrap())
+        .collect()
 }
 
 /// H in nats of counts.
 fn entropy(counts: &[f64]) -> f64 {
     let n: f64 = counts.iter().sum();
-    let shares = counts.iter().filter(|count| **count > 0.0).map(|count| count / n);
+    let shares = counts
+        .iter()
+        .filter(|count| **count > 0.0)
+        .map(|count| count / n);
     -shares.map(|p| p * p.ln()).sum::<f64>()
 }
 
@@ -33,7 +44,11 @@ fn entropy(counts: &[f64]) -> f64 {
 fn mean_and_std(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
-    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n;
+    let variance = values
+        .iter()
+        .map(|value| (value - mean).powi(2))
+        .sum::<f64>()
+        / n;
     (mean, variance.sqrt())
 }
 
@@ -41,7 +56,11 @@ fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let middle = sorted.len() / 2;
-    if sorted.len() % 2 == 1 { sorted[middle] } else { (sorted[middle - 1] + sorted[middle]) / 2.0 }
+    if sorted.len() % 2 == 1 {
+        sorted[middle]
+    } else {
+        (sorted[middle - 1] + sorted[middle]) / 2.0
+    }
 }
 
 fn column(rows: &[Row], name: &str) -> Vec<f64> {
@@ -64,12 +83,22 @@ fn the_paper_recipe_can_be_recomputed_from_the_published_columns() {
         close(statistics["mean"].as_f64().unwrap(), mean, name);
         close(statistics["std"].as_f64().unwrap(), std, name);
         for row in &rows {
-            close(number(row, &format!("z_{name}")), (number(row, name) - mean) / std, name);
+            close(
+                number(row, &format!("z_{name}")),
+                (number(row, name) - mean) / std,
+                name,
+            );
         }
 
         let (edges, counts) = (floats(&statistics["edges"]), floats(&statistics["counts"]));
-        assert_eq!((edges.len(), counts.len(), &corpus["bins"]), (31, 30, &30.into()));
-        let (least, most) = (values.iter().copied().fold(f64::MAX, f64::min), values.iter().copied().fold(f64::MIN, f64::max));
+        assert_eq!(
+            (edges.len(), counts.len(), &corpus["bins"]),
+            (31, 30, &30.into())
+        );
+        let (least, most) = (
+            values.iter().copied().fold(f64::MAX, f64::min),
+            values.iter().copied().fold(f64::MIN, f64::max),
+        );
         for (i, edge) in edges.iter().enumerate() {
             close(*edge, least + i as f64 * (most - least) / 30.0, "an edge");
         }
@@ -80,14 +109,25 @@ fn the_paper_recipe_can_be_recomputed_from_the_published_columns() {
             recounted[bin] += 1.0;
         }
         assert_eq!(counts, recounted, "{name}");
-        close(statistics["entropy_nats"].as_f64().unwrap(), entropy(&counts), name);
+        close(
+            statistics["entropy_nats"].as_f64().unwrap(),
+            entropy(&counts),
+            name,
+        );
         entropies.push(entropy(&counts));
     }
 
     let powers: Vec<f64> = entropies.iter().map(|h| (-h).exp()).collect();
-    let weights: Vec<f64> = powers.iter().map(|power| power / powers.iter().sum::<f64>()).collect();
+    let weights: Vec<f64> = powers
+        .iter()
+        .map(|power| power / powers.iter().sum::<f64>())
+        .collect();
     for (name, weight) in SIGNALS.iter().zip(&weights) {
-        close(corpus["corpus"]["weights"][name].as_f64().unwrap(), *weight, name);
+        close(
+            corpus["corpus"]["weights"][name].as_f64().unwrap(),
+            *weight,
+            name,
+        );
     }
     for row in &rows {
         let by_hand: f64 = SIGNALS
@@ -110,7 +150,11 @@ fn expect_ranks_and_rewards(rows: &[Row], rewards: &[Row]) {
     let kept = (0.8 * n).ceil() as usize;
     for (place, row) in order.iter().enumerate() {
         assert_eq!(row["rank"], place + 1);
-        close(number(row, "percentile"), 100.0 * (place as f64 + 0.5) / n, "percentile");
+        close(
+            number(row, "percentile"),
+            100.0 * (place as f64 + 0.5) / n,
+            "percentile",
+        );
         assert_eq!(row["decision"], if place < kept { "keep" } else { "drop" });
     }
     let raw: Vec<f64> = rows.iter().map(|row| -number(row, "anomaly")).collect();
@@ -148,11 +192,21 @@ fn the_balanced_recipe_is_the_mean_of_robust_z() {
             }
         }
         if z.is_empty() {
-            assert!(row["anomaly"].is_null() && row["decision"] == "review", "{row:?}");
+            assert!(
+                row["anomaly"].is_null() && row["decision"] == "review",
+                "{row:?}"
+            );
         } else {
-            close(number(row, "anomaly"), z.iter().sum::<f64>() / z.len() as f64, "anomaly");
+            close(
+                number(row, "anomaly"),
+                z.iter().sum::<f64>() / z.len() as f64,
+                "anomaly",
+            );
             judged += 1;
         }
     }
-    assert!(judged >= VIDEOS / 2, "{judged} of {VIDEOS} have a score: too few to test anything");
+    assert!(
+        judged >= VIDEOS / 2,
+        "{judged} of {VIDEOS} have a score: too few to test anything"
+    );
 }

@@ -6,7 +6,7 @@
 //! file but the ones handed over (design, section 10); a crash or a hang of a codec is contained by the
 //! compute child that calls this.
 //!
-//! Files: [`sniff`] (container by magic bytes), `structure` (does the file hold what its headers promise),
+//! Files: [`mod@sniff`] (container by magic bytes), `structure` (does the file hold what its headers promise),
 //! `ffi` (all unsafe code), [`video`] (the decoding loop), `timeline` (presentation times), `convert` and
 //! `orient` (pixels), [`images`] (numbered images).
 

@@ -1,6 +1,6 @@
 //! One video file, in memory, to RGB frames in presentation order.
 //!
-//! FFmpeg's libraries run in process on one thread. The demuxer is chosen by [`super::sniff`] and may open
+//! FFmpeg's libraries run in process on one thread. The demuxer is chosen by [`super::sniff()`] and may open
 //! nothing else. Limits are checked from the header before a codec runs, and again on every frame.
 //!
 //! A clip counts as decoded only in full, because a missing frame would be scored as a jump: a file that
