@@ -198,7 +198,7 @@ impl Measurement {
 pub struct Cost {
     /// Wall time of the whole measurement.
     pub total_s: f64,
-    /// Reading and decoding.
+    /// Reading, decoding and resizing.
     pub decode_s: f64,
     /// Optical flow, both directions.
     pub flow_s: f64,

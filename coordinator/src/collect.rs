@@ -113,8 +113,14 @@ impl Journal {
         let mut places = HashMap::new();
         let mut end = 0;
         let mut reader = BufReader::new(&file);
-        // A torn frame ends what can be trusted; so does one of another wire version.
-        while let Ok(Some(payload)) = frame::read(&mut reader) {
+        loop {
+            let payload = match frame::read(&mut reader) {
+                Ok(Some(payload)) => payload,
+                // A torn frame ends what can be trusted; so does one of another wire version.
+                Ok(None) | Err(FrameError::Torn | FrameError::TooLarge(_)) => break,
+                // A disk that does not answer is no reason to cut the journal off.
+                Err(FrameError::Io(source)) => return Err(io_error(source)),
+            };
             let Ok(record) = message::decode::<Record>(&payload) else {
                 break;
             };

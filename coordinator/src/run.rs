@@ -124,6 +124,16 @@ pub enum RunError {
     /// No compute process can be started.
     #[error(transparent)]
     Slot(#[from] SlotError),
+    /// The slots ended before the jobs did, which only a defect of the program explains.
+    #[error(
+        "{missing} of {total} videos were not measured, since the program that measures them stopped; the others are kept: run the same command again, and report this if it comes back"
+    )]
+    Unmeasured {
+        /// Videos without an outcome.
+        missing: usize,
+        /// Videos in the corpus.
+        total: usize,
+    },
     /// Ctrl-C or SIGTERM.
     #[error(
         "interrupted: {done} of {total} videos are measured and kept; run the same command again to go on"
@@ -229,6 +239,12 @@ async fn measure_missing(
         })?;
     }
     progress.finish();
+    if journal.len() < total {
+        return Err(RunError::Unmeasured {
+            missing: total - journal.len(),
+            total: entries.len(),
+        });
+    }
     Ok(compute_s)
 }
 

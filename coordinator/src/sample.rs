@@ -3,9 +3,9 @@
 //! `videos/<name>.mp4` (H.264), `truth/<name>.npz` (the exact truth of every frame), `labels.csv`
 //! (what is wrong with which video, when and where). Equal seeds give equal files.
 //!
-//! In an `.npz`, T frames of H × W pixels: `camera_from_world` [T, 7] (t xyz in metres, q xyzw),
-//! `intrinsics_px` [4] (fx, fy, cx, cy), and unless left out `flow_px` [T−1, H, W, 2] (x, y; frame t
-//! to t + 1), `flow_valid` and `flow_visible` [T−1, H, W], `depth_m` [T, H, W], `body_id` [T, H, W].
+//! In an `.npz`, T frames of H × W pixels: `camera_from_world` `[T, 7]` (t xyz in metres, q xyzw),
+//! `intrinsics_px` `[4]` (fx, fy, cx, cy), and unless left out `flow_px` `[T−1, H, W, 2]` (x, y; frame
+//! t to t + 1), `flow_valid` and `flow_visible` `[T−1, H, W]`, `depth_m` and `body_id` `[T, H, W]`.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, Write};

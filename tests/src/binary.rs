@@ -1,5 +1,6 @@
 //! Where the built `plumbline` is. Cargo names binaries only to tests of their own package, so it is
-//! looked for beside the running test and built where it is absent or older than its sources.
+//! looked for beside the running test and built where it is absent or older than its sources. The
+//! environment variable `PLUMBLINE_TEST_BINARY` names another one (an installed one, say).
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -7,10 +8,15 @@ use std::process::Command;
 use std::sync::OnceLock;
 use std::time::SystemTime;
 
+const OVERRIDE: &str = "PLUMBLINE_TEST_BINARY";
+
 /// The binary of the profile that the running test was built with.
 pub fn plumbline() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
     BINARY.get_or_init(|| {
+        if let Some(named) = std::env::var_os(OVERRIDE) {
+            return PathBuf::from(named);
+        }
         // target/<profile>/deps/<test>
         let test = std::env::current_exe().expect("the test has a path");
         let profile_directory = test

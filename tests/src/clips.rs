@@ -46,6 +46,25 @@ pub fn frames(spec: &ClipSpec) -> Vec<Rgb8> {
     pictures.collect()
 }
 
+/// Picture `index` of a checkered plane that moves a pixel per frame, of any size.
+pub fn moving_squares(width: usize, height: usize, index: usize) -> Rgb8 {
+    const SIDE_PX: usize = 4;
+    let mut data = Vec::with_capacity(width * height * 3);
+    for y in 0..height {
+        for x in 0..width {
+            let (column, row) = ((x + index) / SIDE_PX, y / SIDE_PX);
+            // Squares of many greys, so that one is not taken for another.
+            let grey = 40 + (column * 37 + row * 59) % 7 * 30;
+            data.extend([grey as u8; 3]);
+        }
+    }
+    Rgb8 {
+        width,
+        height,
+        data,
+    }
+}
+
 /// Writes pictures as an mp4, making its directory.
 pub fn write(path: &Path, frames: &[Rgb8]) {
     std::fs::create_dir_all(path.parent().expect("a directory")).expect("directory");
@@ -57,9 +76,30 @@ pub fn write(path: &Path, frames: &[Rgb8]) {
     writer.finish().expect("the clip is written");
 }
 
+/// Writes pictures as numbered PNG files into a directory.
+pub fn write_images(directory: &Path, frames: &[Rgb8]) {
+    std::fs::create_dir_all(directory).expect("directory");
+    for (index, frame) in frames.iter().enumerate() {
+        let (width, height) = (frame.width as u32, frame.height as u32);
+        let path = directory.join(format!("frame_{index:04}.png"));
+        let picture = image::RgbImage::from_raw(width, height, frame.data.clone());
+        picture
+            .expect("a whole picture")
+            .save(path)
+            .expect("the picture is written");
+    }
+}
+
 /// Writes the `seed`-th clip.
 pub fn write_moving(path: &Path, seed: u64) {
     write(path, &frames(&spec(seed)));
+}
+
+/// Writes a clip that takes tens of seconds to measure at `standard`, minutes at `accurate`: the `seed`-th, over and over.
+pub fn write_long(path: &Path, seed: u64) {
+    const ROUNDS: usize = 100;
+    let once = frames(&spec(seed));
+    write(path, &vec![once; ROUNDS].concat());
 }
 
 /// Writes a clip that shows one picture all the time.

@@ -16,16 +16,18 @@ pub struct Process {
 struct Stat {
     state: char,
     parent: i32,
+    user_ticks: u64,
     started_ticks: u64,
 }
 
-/// Fields of /proc/<pid>/stat after the command's name, which alone may hold spaces and brackets.
+/// Fields of `/proc/<pid>/stat` after the command's name, which alone may hold spaces and brackets.
 fn stat(pid: i32) -> Option<Stat> {
     let text = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     let fields: Vec<&str> = text.rsplit_once(')')?.1.split_whitespace().collect();
     Some(Stat {
         state: fields.first()?.chars().next()?,
         parent: fields.get(1)?.parse().ok()?,
+        user_ticks: fields.get(11)?.parse().ok()?,
         started_ticks: fields.get(19)?.parse().ok()?,
     })
 }
@@ -50,6 +52,13 @@ impl Process {
         stat(self.pid).is_some_and(|stat| {
             stat.started_ticks == self.started_ticks && !matches!(stat.state, 'Z' | 'X')
         })
+    }
+
+    /// Whether it has computed for a fifth of a second: it is past its start and at work.
+    pub fn has_worked(self) -> bool {
+        /// Linux counts a hundred ticks a second for programs, whatever its own clock.
+        const FIFTH_OF_A_SECOND_TICKS: u64 = 20;
+        stat(self.pid).is_some_and(|stat| stat.user_ticks >= FIFTH_OF_A_SECOND_TICKS)
     }
 
     /// Ends it without a chance to object.

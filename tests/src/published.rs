@@ -126,8 +126,8 @@ impl Published {
     /// Fails unless the run is finished and holds every one of `videos` exactly once, in every table
     /// and in exactly one manifest, with statistics that add up and `corpus.json` written last.
     #[track_caller]
-    pub fn expect_whole(&self, videos: &[&str]) -> &Self {
-        let mut expected: Vec<&str> = videos.to_vec();
+    pub fn expect_whole<S: AsRef<str>>(&self, videos: &[S]) -> &Self {
+        let mut expected: Vec<&str> = videos.iter().map(AsRef::as_ref).collect();
         expected.sort_unstable();
         let rows = self.rows();
         assert_eq!(names(&rows), expected, "scores.jsonl");

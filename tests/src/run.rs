@@ -42,7 +42,7 @@ impl Place {
     pub fn with_clips(count: u64) -> Self {
         let place = Self::new();
         for seed in 0..count {
-            clips::write_moving(&place.video(&format!("clip-{seed:02}.mp4")), seed);
+            clips::write_moving(&place.video(format!("clip-{seed:02}.mp4")), seed);
         }
         place
     }

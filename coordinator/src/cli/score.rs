@@ -128,7 +128,12 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
             if json {
                 let text = serde_json::to_string_pretty(&summary::json(&finished))
                     .map_err(Failure::stopped)?;
-                writeln!(std::io::stdout(), "{text}").map_err(Failure::stopped)?;
+                writeln!(std::io::stdout(), "{text}").map_err(|error| {
+                    let out = finished.out.display();
+                    Failure::stopped(format!(
+                        "the summary cannot be written to standard output ({error}); the results are whole, in {out}"
+                    ))
+                })?;
             }
             Ok(if finished.complete() {
                 exit::OK

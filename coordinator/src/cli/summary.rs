@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use crate::progress::say;
 use crate::publish::REPORT_FILE;
+use crate::reduce::histogram::Sorted;
 use crate::run::Finished;
 
 /// Groups shown on the terminal; the report has them all.
@@ -38,9 +39,8 @@ impl Counts {
         self.anomalies.extend(row.anomaly);
     }
 
-    fn median(&mut self) -> Option<f64> {
-        self.anomalies.sort_by(f64::total_cmp);
-        self.anomalies.get(self.anomalies.len() / 2).copied()
+    fn median(&self) -> Option<f64> {
+        Sorted::new(self.anomalies.clone()).median()
     }
 }
 
@@ -69,11 +69,11 @@ pub(super) fn table(finished: &Finished) {
     ]);
     let hidden = groups.len().saturating_sub(MAX_GROUPS);
     if groups.len() > 1 {
-        for (group, counts) in groups.iter_mut().take(MAX_GROUPS) {
+        for (group, counts) in groups.iter().take(MAX_GROUPS) {
             table.add_row(cells(&printable(group), counts));
         }
     }
-    table.add_row(cells("all", &mut all));
+    table.add_row(cells("all", &all));
     for column in 1..7 {
         if let Some(column) = table.column_mut(column) {
             column.set_cell_alignment(CellAlignment::Right);
@@ -99,7 +99,7 @@ pub(super) fn table(finished: &Finished) {
     ));
 }
 
-fn cells(name: &str, counts: &mut Counts) -> [String; 7] {
+fn cells(name: &str, counts: &Counts) -> [String; 7] {
     let median = counts
         .median()
         .map_or("-".to_owned(), |median| format!("{median:+.3}"));

@@ -52,7 +52,10 @@ fn extension(path: &Path) -> Option<String> {
 
 fn read_text(path: &Path) -> Result<String, String> {
     let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
-    String::from_utf8(bytes).map_err(|_| "is not UTF-8 text: save it as UTF-8".to_owned())
+    let text =
+        String::from_utf8(bytes).map_err(|_| "is not UTF-8 text: save it as UTF-8".to_owned())?;
+    // Some editors begin UTF-8 files with a byte order mark.
+    Ok(text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned())
 }
 
 fn parse_txt(text: &str) -> Vec<Line> {
@@ -150,6 +153,18 @@ mod tests {
         let lines = read_named("l.txt", b"a b.mp4\r\n\n -x.mp4\n").unwrap();
         let videos: Vec<_> = lines.iter().map(|line| line.video.as_str()).collect();
         assert_eq!(videos, ["a b.mp4", " -x.mp4"]);
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_the_first_line() {
+        for (name, content) in [
+            ("l.txt", "\u{feff}a.mp4\r\n"),
+            ("l.csv", "\u{feff}video\r\na.mp4\r\n"),
+            ("l.jsonl", "\u{feff}{\"video\":\"a.mp4\"}\r\n"),
+        ] {
+            let lines = read_named(name, content.as_bytes()).unwrap();
+            assert_eq!(lines[0].video, "a.mp4", "{name}");
+        }
     }
 
     #[test]

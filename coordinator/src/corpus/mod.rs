@@ -51,7 +51,7 @@ impl Entry {
 #[derive(Debug, thiserror::Error)]
 pub enum CorpusError {
     /// The source does not exist.
-    #[error("{source_text}: no such file or directory")]
+    #[error("{source_text}: no such file or directory; check the path")]
     NoSuchSource {
         /// As typed.
         source_text: String,
@@ -66,7 +66,7 @@ pub enum CorpusError {
     },
     /// Nothing to score.
     #[error(
-        "{sources}: no video found (looked for {extensions}, and directories of numbered images)"
+        "{sources}: no video found; check the path (in directories, files named {extensions} and numbered images count; lists and patterns take any file)"
     )]
     Empty {
         /// All sources as typed.

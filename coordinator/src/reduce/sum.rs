@@ -30,7 +30,7 @@ const ADDITIONS_BEFORE_CARRY: u32 = 1 << 29;
 #[error("{0} is not a finite number")]
 pub struct NotFinite(pub f64);
 
-/// A fixed-point number: Σ cells[i] · 2^(32 i + exponent).
+/// A fixed-point number: `Σ cells[i] · 2^(32 i + exponent)`.
 #[derive(Debug, Clone)]
 struct FixedPoint {
     cells: Vec<i64>,

@@ -12,14 +12,15 @@ use plumbline_tests::run::{Place, Started};
 #[test]
 fn an_empty_folder_and_a_wrong_path_are_usage_errors() {
     let place = Place::new();
-    place
-        .run("out", &[])
-        .expect_code(2)
-        .expect_line(&["videos: no video found", "mp4"]);
+    place.run("out", &[]).expect_code(2).expect_line(&[
+        "videos: no video found",
+        "check the path",
+        "mp4",
+    ]);
     Started::start(&mut place.score(&["vidoes", "--out", "out"]))
         .wait()
         .expect_code(2)
-        .expect_line(&["vidoes: no such file or directory"]);
+        .expect_line(&["vidoes: no such file or directory", "check the path"]);
     assert!(!place.path("out").exists());
 }
 
@@ -36,7 +37,8 @@ fn broken_videos_become_typed_rows_with_reasons() {
     };
 
     std::fs::write(place.video("audio.mp4"), std::fs::read(&good).unwrap()).unwrap();
-    clips::patch(&place.video("audio.mp4"), b"vide", b"soun");
+    // The handler of the only track (ISO 14496-12, 8.4.3): its type, then three reserved words.
+    clips::patch(&place.video("audio.mp4"), b"vide\0\0\0\0\0\0\0\0", b"soun");
     std::fs::write(
         place.video("concat.mp4"),
         format!("ffconcat version 1.0\nfile '{}'\n", good.display()),
@@ -195,7 +197,7 @@ fn names_of_any_kind_keep_their_place() {
         })
         .chain(["bad\n\u{1b}[31mname.mp4".to_owned()])
         .collect();
-    published.expect_whole(&videos.iter().map(String::as_str).collect::<Vec<_>>());
+    published.expect_whole(&videos);
     assert_eq!(published.corpus()["statuses"]["scored"], names.len());
 
     // The same names typed: after `--` nothing is a flag, and an existing file is no pattern.
@@ -298,8 +300,75 @@ fn a_passed_deadline_is_a_failed_row_that_is_tried_again() {
     let published = place.published("out");
     published.expect_whole(&["clip-00.mp4", "clip-01.mp4", "clip-02.mp4"]);
     assert_eq!(published.corpus()["statuses"]["failed"], 3);
+    // A deadline beyond all clocks is none.
     place
-        .run("out", &[])
+        .run("out", &["--deadline", "1e300"])
         .expect_code(0)
         .expect_line(&["3 measured now"]);
+}
+
+/// The same in the middle of a long clip, beside clips that are fast enough.
+#[test]
+fn a_clip_that_is_too_slow_costs_its_own_row() {
+    let place = Place::with_clips(3);
+    clips::write_long(&place.video("long.mp4"), 0);
+    // Ten times what a short clip takes at `standard`, and a tenth of the long one.
+    let words = ["--deadline", "2", "--jobs", "1"];
+    Started::start(place.score(&["videos", "--out", "out"]).args(words))
+        .wait()
+        .expect_code(3)
+        .expect_line(&["failed: long.mp4: not measured within 2 s"]);
+    let published = place.published("out");
+    published.expect_whole(&["clip-00.mp4", "clip-01.mp4", "clip-02.mp4", "long.mp4"]);
+    assert_eq!(published.corpus()["statuses"]["failed"], 1);
+}
+
+/// From the smallest picture to the widest that is measured, and one beyond.
+#[test]
+fn unusual_sizes_are_measured_or_refused_by_name() {
+    let place = Place::new();
+    let sizes = [(2, 2), (16, 16), (17, 33), (48, 384), (384, 48), (450, 50)];
+    for (width, height) in sizes {
+        let path = place.video(format!("{width}x{height}.mp4"));
+        let frames: Vec<_> = (0..clips::FRAMES)
+            .map(|index| clips::moving_squares(width, height, index))
+            .collect();
+        clips::write(&path, &frames);
+    }
+    place
+        .run("out", &["--recipe", "paper"])
+        .expect_code(3)
+        .expect_line(&["over_limit: 450x50.mp4", "8:1", "crop it"]);
+    let published = place.published("out");
+    published.expect_whole(&sizes.map(|(width, height)| format!("{width}x{height}.mp4")));
+    for (width, height) in &sizes[..5] {
+        let row = published.row(&format!("{width}x{height}.mp4"));
+        let judged = ["scored", "static", "collapsed"];
+        assert!(
+            judged.iter().any(|status| row["status"] == *status),
+            "{row:?}"
+        );
+    }
+}
+
+/// A picture of 8192×8192 is refused by its header, whatever its bytes would decode to.
+#[test]
+fn a_real_8k_square_is_over_the_limit() {
+    let place = Place::new();
+    let side = 8192;
+    let grey = plumbline_vision::image::Rgb8 {
+        width: side,
+        height: side,
+        data: vec![90; side * side * 3],
+    };
+    clips::write(&place.video("huge.mp4"), &[grey]);
+    place.run("out", &[]).expect_code(3).expect_line(&[
+        "over_limit: huge.mp4",
+        "67108864 pixels",
+        "scale it down",
+    ]);
+    assert_eq!(
+        place.published("out").row("huge.mp4")["status"],
+        "over_limit"
+    );
 }

@@ -29,7 +29,6 @@ fn every_video_is_scored_once_and_standard_output_stays_empty() {
     let ended = place.run("out", &[]).expect_code(0);
     assert_eq!(ended.stdout, "");
     let ended = ended
-        .expect_line(&["all", "6", "6"])
         .expect_line(&["passed over", "1 .txt"])
         .expect_line(&["6 measured now"])
         .expect_line(&["report:", "report.html"]);
@@ -45,6 +44,27 @@ fn every_video_is_scored_once_and_standard_output_stays_empty() {
     assert_eq!(
         (&corpus["decisions"]["keep"], &corpus["keep"]),
         (&5.into(), &"80%".into())
+    );
+    let mut anomalies: Vec<f64> = published
+        .rows()
+        .iter()
+        .map(|row| number(row, "anomaly"))
+        .collect();
+    anomalies.sort_by(f64::total_cmp);
+    let median = format!("{:+.3}", (anomalies[2] + anomalies[3]) / 2.0);
+    // Videos, scored, keep, drop, review, median anomaly.
+    let words: Vec<&str> = ended
+        .stderr
+        .lines()
+        .nth(2)
+        .unwrap()
+        .split_whitespace()
+        .collect();
+    assert_eq!(
+        words,
+        ["all", "6", "6", "5", "1", "0", &median],
+        "{}",
+        ended.stderr
     );
     for row in published.rows() {
         assert_eq!(

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use plumbline_tests::clips;
 use plumbline_tests::process::{Process, children_of, wait_until};
 use plumbline_tests::run::{Ended, Place, Started};
 use rustix::process::Signal;
 
 /// Enough that a run can be caught half-way.
-const VIDEOS: u64 = 10;
+const VIDEOS: u64 = 8;
 
 /// Long for a process that has only to notice that its parent is gone.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -99,7 +100,7 @@ fn ctrl_c_says_how_far_it_got_and_is_resumable() {
     interrupt(Signal::INT, |ended| {
         let ended = ended.expect_code(130).expect_line(&[
             "interrupted:",
-            "of 10 videos are measured and kept",
+            "of 8 videos are measured and kept",
             "run the same command again",
         ]);
         assert_eq!(ended.stdout, "");
@@ -114,6 +115,35 @@ fn sigterm_is_as_gentle_as_ctrl_c() {
             .expect_code(130)
             .expect_line(&["interrupted:", "run the same command again"])
     });
+}
+
+/// Nobody waits for the end of a long clip: not the run that is interrupted, not the compute process
+/// whose run is killed.
+#[test]
+fn a_long_clip_holds_nothing_up() {
+    const PROMPT: Duration = Duration::from_secs(5);
+    let place = Place::new();
+    clips::write_long(&place.video("long.mp4"), 0);
+    for signal in [Signal::INT, Signal::KILL] {
+        let words = ["videos", "--out", "out", "--profile", "accurate"];
+        let mut run = Started::start(&mut place.score(&words));
+        let mut child = None;
+        wait_until("a compute child at work", PATIENCE, || {
+            child = children_of(run.pid()).first().copied();
+            child.is_some_and(Process::has_worked)
+        });
+        run.signal(signal);
+        wait_until("the run ends", PROMPT, || !run.is_running());
+        wait_until("the compute child ends", PROMPT, || {
+            !child.is_some_and(Process::is_alive)
+        });
+        let ended = run.wait();
+        if signal == Signal::INT {
+            ended
+                .expect_code(130)
+                .expect_line(&["interrupted: 0 of 1 videos"]);
+        }
+    }
 }
 
 #[test]
@@ -138,8 +168,11 @@ fn one_job_two_jobs_and_measuring_again_give_the_same_bytes() {
 fn a_second_run_into_the_same_out_is_refused() {
     let place = Place::with_clips(VIDEOS);
     let (first, _) = half_way(&place, "out");
-    start(&place, "out", "1")
-        .wait()
+    // Held still, so that it cannot end first.
+    first.signal(Signal::STOP);
+    let second = start(&place, "out", "1").wait();
+    first.signal(Signal::CONT);
+    second
         .expect_code(2)
         .expect_line(&["another plumbline run", "choose another --out"]);
     first.wait().expect_code(0);
@@ -185,7 +218,7 @@ fn a_changed_video_is_measured_again_and_a_removed_one_is_gone() {
     let place = Place::with_clips(4);
     place.run("out", &[]).expect_code(0);
     let before = place.published("out").row("clip-01.mp4");
-    plumbline_tests::clips::write_moving(&place.video("clip-01.mp4"), 77);
+    clips::write_moving(&place.video("clip-01.mp4"), 77);
     std::fs::remove_file(place.video("clip-03.mp4")).unwrap();
     let changed = place.run("out", &["--json"]).expect_code(0).json();
     assert_eq!(changed["measured_now"], 1);
@@ -198,9 +231,10 @@ fn a_changed_video_is_measured_again_and_a_removed_one_is_gone() {
     );
 }
 
-/// What a crash of the machine may leave: the journal's last record cut off, or damaged.
+/// What a crash of the machine may leave: the journal's last record cut off, or an earlier one damaged,
+/// after which nothing is trusted.
 #[test]
-fn a_damaged_journal_costs_only_what_it_lost() {
+fn a_damaged_journal_is_measured_again_from_the_damage_on() {
     let place = Place::with_clips(4);
     place.run("out", &[]).expect_code(0);
     let reference = place.published("out").stable_files();
@@ -215,6 +249,7 @@ fn a_damaged_journal_costs_only_what_it_lost() {
     expect_same(&place, "out", &reference);
 
     let mut flipped = whole;
+    // Inside the first record.
     flipped[40] ^= 1;
     std::fs::write(&journal, flipped).unwrap();
     assert_eq!(

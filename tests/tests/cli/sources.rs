@@ -89,6 +89,28 @@ fn a_glob_and_a_single_video() {
 }
 
 #[test]
+fn a_directory_of_numbered_images_is_a_video() {
+    let place = Place::with_clips(1);
+    clips::write_images(&place.video("images/walk"), &clips::frames(&clips::spec(1)));
+    std::fs::write(place.video("images/one.png"), "a lone picture is no video").unwrap();
+    score(&place, &["videos", "--sequence-fps", "5"])
+        .expect_code(0)
+        .expect_line(&["passed over", "1 .png"]);
+    let published = place.published("out");
+    published.expect_whole(&["clip-00.mp4", "images/walk"]);
+    let row = published.row("images/walk");
+    assert_eq!((&row["fps"], &row["frames"]), (&5.0.into(), &10.into()));
+
+    // Adding a frame changes the video.
+    let picture = place.video("images/walk/frame_0000.png");
+    std::fs::copy(picture, place.video("images/walk/frame_0010.png")).unwrap();
+    score(&place, &["videos/images/walk", "--sequence-fps", "5"])
+        .expect_code(0)
+        .expect_line(&["1 measured now"]);
+    assert_eq!(place.published("out").row("walk")["frames"], 11);
+}
+
+#[test]
 fn an_out_inside_the_source_is_not_scored() {
     let place = Place::with_clips(2);
     score(&place, &["."]).expect_code(0);

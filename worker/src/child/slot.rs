@@ -107,7 +107,9 @@ impl ComputeSlot {
                 Some(running) => running,
                 None => self.spawn()?,
             };
-            let deadline = Duration::from_secs_f64(self.limits.deadline_s);
+            // A time beyond all clocks is no deadline.
+            let deadline =
+                Duration::try_from_secs_f64(self.limits.deadline_s).unwrap_or(Duration::MAX);
             match tokio::time::timeout(deadline, running.exchange(&request)).await {
                 Ok(Ok(outcome)) => {
                     self.running = Some(running);
