@@ -33,7 +33,7 @@ const STATE_DIRECTORY: &str = ".plumbline";
 const EMBEDDED_WORKER: &str = "embedded";
 
 /// A usable `plumbline score`.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct ScoreOptions {
     /// What to score, as typed.
     pub sources: Vec<String>,
@@ -134,6 +134,11 @@ pub enum RunError {
         /// Videos in the corpus.
         total: usize,
     },
+    /// Reducing or publishing broke down.
+    #[error(
+        "the reduce broke down ({0}); what was measured is kept, and this is a defect to report"
+    )]
+    Finishing(tokio::task::JoinError),
     /// Ctrl-C or SIGTERM.
     #[error(
         "interrupted: {done} of {total} videos are measured and kept; run the same command again to go on"
@@ -161,6 +166,7 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     let _lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse {
         out: options.out.display().to_string(),
     })?;
+    out.sweep_partials()?;
     out.remove(publish::CORPUS_FILE)?;
     write_frozen(&state, &entries)?;
 
@@ -178,15 +184,27 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
             entries.len()
         ));
     }
-    let compute_s = measure_missing(options, &entries, &mut journal).await?;
+    let mut stop = StopSignals::listen();
+    let compute_s = measure_missing(options, &entries, &mut journal, &mut stop).await?;
     journal.sync()?;
 
-    let reduced = reduce::reduce(collected(&entries, &journal)?, &options.reduce);
-    let files = publish_run(options, &out, &entries, &journal, &reduced)?;
+    let (done, total) = (journal.len(), entries.len());
+    let finishing = {
+        let options = options.clone();
+        tokio::task::spawn_blocking(move || -> Result<_, RunError> {
+            let reduced = reduce::reduce(collected(&entries, &journal)?, &options.reduce);
+            let files = publish_run(&options, &out, &entries, &journal, &reduced)?;
+            Ok((reduced, files))
+        })
+    };
+    let (reduced, files) = tokio::select! {
+        finished = finishing => finished.map_err(RunError::Finishing)??,
+        () = stop.recv() => return Err(RunError::Interrupted { done, total }),
+    };
     Ok(Finished {
         out: options.out.clone(),
         files,
-        measured_now: journal.len() - measured_before,
+        measured_now: done - measured_before,
         reduced,
         elapsed_s: started.elapsed().as_secs_f64(),
         compute_s,
@@ -198,6 +216,7 @@ async fn measure_missing(
     options: &ScoreOptions,
     entries: &[Entry],
     journal: &mut Journal,
+    stop: &mut StopSignals,
 ) -> Result<f64, RunError> {
     let profile = options.profile.canonical().map_err(RunError::Profile)?;
     let jobs: Vec<Job> = entries
@@ -211,7 +230,6 @@ async fn measure_missing(
     let mut progress = Progress::start(total as u64, journal.len() as u64);
     let mut compute_s = 0.0;
     let mut fanout = Fanout::start(jobs, &options.slots);
-    let mut stop = StopSignals::listen();
     loop {
         let Measured { outcome, attempts } = tokio::select! {
             next = fanout.next() => match next {

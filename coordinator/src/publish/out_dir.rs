@@ -77,6 +77,30 @@ impl OutDir {
         }
     }
 
+    /// Removes partial files that a killed run left in this directory or right below it. Only for
+    /// whoever holds the directory's lease: a partial file may be another process' work.
+    ///
+    /// # Errors
+    /// [`PublishError`] when the directory cannot be read or a partial file cannot be removed.
+    pub fn sweep_partials(&self) -> Result<(), PublishError> {
+        let below = |directory: &Path| -> io::Result<Vec<fs::DirEntry>> {
+            fs::read_dir(directory)?.collect()
+        };
+        let io_error = |source| PublishError::from_io(&self.root.to_string_lossy(), source);
+        let mut entries = below(&self.root).map_err(io_error)?;
+        for index in 0..entries.len() {
+            if entries[index].file_type().is_ok_and(|kind| kind.is_dir()) {
+                entries.extend(below(&entries[index].path()).map_err(io_error)?);
+            }
+        }
+        for entry in entries {
+            if is_partial(&entry.file_name()) {
+                fs::remove_file(entry.path()).map_err(io_error)?;
+            }
+        }
+        Ok(())
+    }
+
     fn resolve(&self, name: &str) -> Result<PathBuf, PublishError> {
         let path = Path::new(name);
         let plain = path.file_name().is_some()
@@ -92,6 +116,14 @@ impl OutDir {
     }
 }
 
+/// How the names of partial files end; they begin with a dot.
+const PARTIAL_SUFFIX: &str = ".partial";
+
+fn is_partial(name: &std::ffi::OsStr) -> bool {
+    let name = name.to_string_lossy();
+    name.starts_with('.') && name.ends_with(PARTIAL_SUFFIX)
+}
+
 /// The file while it is being written; whatever is left of it goes when this does.
 struct Partial {
     path: PathBuf,
@@ -101,7 +133,7 @@ impl Partial {
     fn beside(target: &Path) -> Self {
         let mut name = OsString::from(".");
         name.push(target.file_name().unwrap_or_default());
-        name.push(format!(".{}.partial", std::process::id()));
+        name.push(format!(".{}{PARTIAL_SUFFIX}", std::process::id()));
         Self {
             path: target.with_file_name(name),
         }
@@ -215,6 +247,19 @@ mod tests {
         out.remove("manifests/keep.jsonl").unwrap();
         out.remove("manifests/keep.jsonl").unwrap();
         assert!(names(&out.root().join("manifests")).is_empty());
+    }
+
+    #[test]
+    fn a_killed_run_leaves_nothing_after_the_sweep() {
+        let root = tempfile::tempdir().unwrap();
+        let out = OutDir::create(root.path()).unwrap();
+        out.put_atomic("manifests/keep.jsonl", b"whole").unwrap();
+        fs::write(root.path().join(".scores.csv.7.partial"), b"half").unwrap();
+        fs::write(root.path().join("manifests/.drop.jsonl.7.partial"), b"half").unwrap();
+        fs::write(root.path().join("mine.partial"), b"not ours").unwrap();
+        out.sweep_partials().unwrap();
+        assert_eq!(names(root.path()), ["manifests", "mine.partial"]);
+        assert_eq!(names(&root.path().join("manifests")), ["keep.jsonl"]);
     }
 
     #[test]

@@ -319,7 +319,7 @@ fn a_memory_limit_costs_rows_and_not_the_run() {
         "{}",
         ended.stderr
     );
-    assert_ne!(published.row("large.mp4")["status"], "scored");
+    assert_eq!(published.row("large.mp4")["status"], "failed");
     ended.expect_code(3).expect_line(&["large.mp4", "memory"]);
 
     // With room it is measured, and is what it is: a wall that never moves.

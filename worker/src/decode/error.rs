@@ -38,6 +38,9 @@ pub enum DecodeError {
         /// `the file`, or the directory.
         what: String,
     },
+    /// The decoder asked for memory that there is not; with more, the same video may decode.
+    #[error("not enough memory to decode it; raise --memory or scale the video down")]
+    OutOfMemory,
     /// The frame rate given for images cannot be used.
     #[error("the frame rate {fps} is not a positive number; give frames per second, such as 10")]
     InvalidRate {
@@ -88,6 +91,11 @@ impl LimitKind {
 }
 
 impl DecodeError {
+    /// Whether FFmpeg ran out of memory, which says nothing about the video.
+    pub(super) fn is_out_of_memory(error: &ffmpeg_next::Error) -> bool {
+        matches!(error, ffmpeg_next::Error::Other { errno } if *errno == ffmpeg_next::ffi::ENOMEM)
+    }
+
     pub(super) fn undecodable(reason: impl Into<String>) -> Self {
         Self::Undecodable {
             reason: reason.into(),

@@ -18,7 +18,7 @@ use ffmpeg_next::format::context::Input;
 use ffmpeg_next::format::stream::{Disposition, Stream};
 use ffmpeg_next::{Error, Packet, Rational, frame, media};
 
-use super::convert::{self, Converter};
+use super::convert::{self, ConvertError, Converter};
 use super::ffi::{self, StreamHeader};
 use super::orient::Orientation;
 use super::structure::{self, Structure};
@@ -157,6 +157,9 @@ impl Source {
         let parameters = stream.parameters();
         let name = parameters.id().name();
         let failed = |error: Error| {
+            if DecodeError::is_out_of_memory(&error) {
+                return DecodeError::OutOfMemory;
+            }
             DecodeError::undecodable(explain_codec(error, name, self.header.codec_tag))
         };
         let mut context = codec::Context::from_parameters(parameters).map_err(failed)?;
@@ -258,9 +261,8 @@ impl Run<'_> {
             if !ffi::is_hidden(&packet) {
                 self.counts.presentable += 1;
             }
-            let sent = self.decoder.send_packet(&packet);
-            if sent.is_err() {
-                self.counts.rejected = self.counts.rejected.saturating_add(1);
+            if let Err(error) = self.decoder.send_packet(&packet) {
+                self.refused(&error)?;
             }
             if self.all_pictures(on_frame)?.is_break() {
                 return Ok(ControlFlow::Break(()));
@@ -285,8 +287,8 @@ impl Run<'_> {
                         errno: ffmpeg_next::ffi::EAGAIN,
                     },
                 ) => break,
-                Err(_) => {
-                    self.counts.rejected = self.counts.rejected.saturating_add(1);
+                Err(error) => {
+                    self.refused(&error)?;
                     break;
                 }
             }
@@ -298,6 +300,15 @@ impl Run<'_> {
             }
         }
         Ok(ControlFlow::Continue(()))
+    }
+
+    /// Counts a packet that the decoder refused.
+    fn refused(&mut self, error: &Error) -> Result<(), DecodeError> {
+        if DecodeError::is_out_of_memory(error) {
+            return Err(DecodeError::OutOfMemory);
+        }
+        self.counts.rejected = self.counts.rejected.saturating_add(1);
+        Ok(())
     }
 
     /// The frame as a player shows it; nothing when its time does not advance.
@@ -317,9 +328,17 @@ impl Run<'_> {
         if picture.is_corrupt() || picture.has_decode_errors() {
             self.counts.damaged = self.counts.damaged.saturating_add(1);
         }
-        let rgb = self.converter.rgb(picture, square_width).map_err(|error| {
-            DecodeError::undecodable(format!("frame {index} does not convert: {error}"))
-        })?;
+        let rgb = self
+            .converter
+            .rgb(picture, square_width)
+            .map_err(|error| match error {
+                ConvertError::Scale(error) if DecodeError::is_out_of_memory(&error) => {
+                    DecodeError::OutOfMemory
+                }
+                error => {
+                    DecodeError::undecodable(format!("frame {index} does not convert: {error}"))
+                }
+            })?;
         let (width, height) = (rgb.width() as usize, rgb.height() as usize);
         let rgb = orientation.apply(rgb.data(0), rgb.stride(0), width, height);
         Ok(Some(DecodedFrame { index, time_s, rgb }))

@@ -116,7 +116,9 @@ impl ReadError {
 fn status_of(error: &DecodeError) -> Status {
     match error {
         DecodeError::OverLimit { .. } => Status::OverLimit,
-        DecodeError::Io { .. } | DecodeError::InvalidRate { .. } => Status::Failed,
+        DecodeError::Io { .. } | DecodeError::InvalidRate { .. } | DecodeError::OutOfMemory => {
+            Status::Failed
+        }
         DecodeError::Undecodable { .. }
         | DecodeError::NoVideoStream
         | DecodeError::NotAVideo { .. }
