@@ -5,9 +5,14 @@
 //! pixels are those of a picture 256 px high. A signal with too little to go by is `None`, never 0.
 //! Nothing here fails: the evidence was checked when it was made.
 
+pub mod arc;
+pub mod contact;
+mod median;
 mod piecewise;
 
 pub use piecewise::{PiecewiseParams, piecewise_residual};
+
+pub(crate) use median::median;
 
 use serde::{Deserialize, Serialize};
 

@@ -1,0 +1,189 @@
+//! The detectors' maps, cell by cell; all planes `[H, W]` of one size, on the evidence grid.
+//!
+//! Pixelwise comparison in place, without moving anything along the flow: what moved is already
+//! explained in q and r, and `step` and `vanish` ask for a static camera. Source: `evidence.md`,
+//! section 4.
+
+use super::params::{FaultParams, PERSISTENCE_PAIRS, WINDOW_FRAMES};
+use crate::consistency::{Evidence, NormalisedFrame};
+use crate::image::{Plane, box_mean};
+
+/// Frames that a transition's detectors compare: before and after.
+pub(super) const TRANSITION_FRAMES: usize = 2 * WINDOW_FRAMES;
+
+/// V_t = relu(min(q_{t−1→t}, q_{t→t−1}, q_{t→t+1}, q_{t+1→t}) − max(q_{t−1→t+1}, q_{t+1→t−1})).
+pub(super) fn bad_frame(adjacent: [&Plane; 4], skip: [&Plane; 2]) -> Plane {
+    combine(adjacent[0], |cell| {
+        let change = adjacent
+            .iter()
+            .fold(f32::INFINITY, |least, plane| least.min(plane.data[cell]));
+        let across = skip[0].data[cell].max(skip[1].data[cell]);
+        (change - across).max(0.0)
+    })
+}
+
+/// xr: q_r(a→b) · q_r(b→a).
+pub(super) fn jump(forward: &Evidence, backward: &Evidence) -> Plane {
+    let ahead = forward.appearance_change_map();
+    let back = backward.appearance_change_map();
+    combine(&ahead, |cell| ahead.data[cell] * back.data[cell])
+}
+
+/// The smoothed normalised frame that [`appear`] compares.
+pub(super) fn smoothed(frame: &NormalisedFrame, params: &FaultParams) -> Plane {
+    box_mean(&frame.normalised, params.step_radius_cells)
+}
+
+/// step: box of relu(|median after − median before| − range before − range after), on smoothed N.
+pub(super) fn appear(frames: [&Plane; TRANSITION_FRAMES], params: &FaultParams) -> Plane {
+    let raw = combine(frames[0], |cell| {
+        let (before, after) = around(&frames, cell);
+        ((after.median - before.median).abs() - before.range - after.range).max(0.0)
+    });
+    box_mean(&raw, params.step_radius_cells)
+}
+
+/// ℓ = ln(2 + local deviation of the grey levels): how much texture there is.
+pub(super) fn texture(frame: &NormalisedFrame, params: &FaultParams) -> Plane {
+    let deviation = local_deviation(&frame.grey, params.texture_radius_cells);
+    combine(&frame.grey, |cell| {
+        libm::logf(params.texture_offset + deviation[cell] as f32)
+    })
+}
+
+/// Standard deviation in the `(2 radius + 1)²` box around each cell, borders reflected. In f64: the
+/// difference of the mean square and the squared mean would otherwise show rounding as texture where
+/// a flat surface is bright.
+fn local_deviation(plane: &Plane, radius: usize) -> Vec<f64> {
+    let (width, height) = (plane.width, plane.height);
+    let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
+    let taps = 2 * radius + 1;
+    let mut along_rows = Vec::with_capacity(plane.data.len());
+    for line in plane.data.chunks_exact(width) {
+        for near in columns.chunks_exact(taps) {
+            along_rows.push(near.iter().fold((0.0, 0.0), |(sum, squares), &column| {
+                let grey = f64::from(line[column]);
+                (sum + grey, squares + grey * grey)
+            }));
+        }
+    }
+    let count = (taps * taps) as f64;
+    let mut deviation = Vec::with_capacity(plane.data.len());
+    for near in rows.chunks_exact(taps) {
+        for x in 0..width {
+            let (sum, squares) = near.iter().fold((0.0, 0.0), |(sum, squares), &row| {
+                let (row_sum, row_squares) = along_rows[row * width + x];
+                (sum + row_sum, squares + row_squares)
+            });
+            let mean = sum / count;
+            deviation.push((squares / count - mean * mean).max(0.0).sqrt());
+        }
+    }
+    deviation
+}
+
+/// For each position of an axis the indices of its box, those outside reflected about the border
+/// cell's centre.
+fn box_indices(length: usize, radius: usize) -> Vec<usize> {
+    let period = (2 * length).saturating_sub(2).max(1) as i64;
+    let mut indices = Vec::with_capacity(length * (2 * radius + 1));
+    for position in 0..length as i64 {
+        for offset in -(radius as i64)..=radius as i64 {
+            let wrapped = (position + offset).rem_euclid(period);
+            indices.push(wrapped.min(period - wrapped).min(length as i64 - 1) as usize);
+        }
+    }
+    indices
+}
+
+/// Share of cells around each that are not quiet, 0..=1.
+pub(super) fn unquiet(evidence: &Evidence, params: &FaultParams) -> Plane {
+    let moves = |speed: &f32| f32::from(u8::from(*speed > params.quiet_speed_px));
+    let raw = Plane {
+        width: evidence.width,
+        height: evidence.height,
+        data: evidence.speed_px.iter().map(moves).collect(),
+    };
+    box_mean(&raw, params.quiet_radius_cells)
+}
+
+/// vanq: relu(median ℓ before − median ℓ after − range before − range after) · exp(−s / scale), with s
+/// the largest share of unquiet cells in the two pairs before and the two after the transition: what
+/// really moves away also moves nearby just before or after, what vanishes does not.
+pub(super) fn vanish(
+    textures: [&Plane; TRANSITION_FRAMES],
+    unquiet: [&Plane; 4],
+    params: &FaultParams,
+) -> Plane {
+    combine(textures[0], |cell| {
+        let (before, after) = around(&textures, cell);
+        let loss = before.median - after.median - before.range - after.range;
+        if loss <= 0.0 {
+            return 0.0;
+        }
+        let share = unquiet
+            .iter()
+            .fold(0.0f32, |most, plane| most.max(plane.data[cell]));
+        loss * libm::expf(-share / params.quiet_scale)
+    })
+}
+
+/// The smoothed appearance residual that [`flicker`] compares.
+pub(super) fn residual(evidence: &Evidence, params: &FaultParams) -> Plane {
+    let raw = Plane {
+        width: evidence.width,
+        height: evidence.height,
+        data: evidence.appearance.clone(),
+    };
+    box_mean(&raw, params.persistence_radius_cells)
+}
+
+/// pers: the least smoothed residual of successive pairs.
+pub(super) fn flicker(residuals: [&Plane; PERSISTENCE_PAIRS]) -> Plane {
+    combine(residuals[0], |cell| {
+        residuals
+            .iter()
+            .fold(f32::INFINITY, |least, plane| least.min(plane.data[cell]))
+    })
+}
+
+/// Mean |ΔG| of two grey frames, levels.
+pub(super) fn grey_change(first: &Plane, second: &Plane) -> f64 {
+    let sum: f64 = first
+        .data
+        .iter()
+        .zip(&second.data)
+        .map(|(&a, &b)| f64::from((a - b).abs()))
+        .sum();
+    sum / first.data.len().max(1) as f64
+}
+
+/// Median and range of one cell over a window.
+struct Window {
+    median: f32,
+    range: f32,
+}
+
+impl Window {
+    fn of([a, b, c]: [f32; WINDOW_FRAMES]) -> Self {
+        let (low, high) = (a.min(b), a.max(b));
+        Self {
+            median: low.max(high.min(c)),
+            range: high.max(c) - low.min(c),
+        }
+    }
+}
+
+fn around(frames: &[&Plane; TRANSITION_FRAMES], cell: usize) -> (Window, Window) {
+    let [a, b, c, d, e, f] = frames.map(|plane| plane.data[cell]);
+    (Window::of([a, b, c]), Window::of([d, e, f]))
+}
+
+/// A plane of `like`'s size with `value(cell)`.
+fn combine(like: &Plane, value: impl Fn(usize) -> f32) -> Plane {
+    Plane {
+        width: like.width,
+        height: like.height,
+        data: (0..like.data.len()).map(value).collect(),
+    }
+}
