@@ -128,12 +128,15 @@ pub(super) fn vanish(
     })
 }
 
-/// The smoothed appearance residual that [`flicker`] compares.
+/// The smoothed appearance residual that [`flicker`] compares; 0 where the flow leaves the frame, since
+/// there is nothing to compare with (under a moving camera a border would flicker all the time).
 pub(super) fn residual(evidence: &Evidence, params: &FaultParams) -> Plane {
+    let in_frame = |(&residual, &inside): (&f32, &bool)| if inside { residual } else { 0.0 };
+    let residuals = evidence.appearance.iter().zip(&evidence.in_frame);
     let raw = Plane {
         width: evidence.width,
         height: evidence.height,
-        data: evidence.appearance.clone(),
+        data: residuals.map(in_frame).collect(),
     };
     box_mean(&raw, params.persistence_radius_cells)
 }

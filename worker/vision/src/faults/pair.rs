@@ -37,10 +37,11 @@ impl ChangePair {
             (self.backward_change.width, self.backward_change.height),
         ];
         let cells = size.0 * size.1;
-        let whole = [&self.forward, &self.backward]
-            .iter()
-            .all(|evidence| evidence.appearance.len() == cells && evidence.speed_px.len() == cells)
-            && self.forward_change.data.len() == cells
+        let whole = [&self.forward, &self.backward].iter().all(|evidence| {
+            evidence.appearance.len() == cells
+                && evidence.speed_px.len() == cells
+                && evidence.in_frame.len() == cells
+        }) && self.forward_change.data.len() == cells
             && self.backward_change.data.len() == cells;
         (whole && others.iter().all(|&other| other == size)).then_some(size)
     }

@@ -35,7 +35,7 @@ fn ground(x: usize, y: usize) -> f32 {
 /// A chequered patch of 16 cells at (40, 60).
 fn patch(x: usize, y: usize) -> f32 {
     let inside = (40..56).contains(&x) && (60..76).contains(&y);
-    if inside && (x / 2 + y / 2) % 2 == 0 {
+    if inside && (x / 2 + y / 2).is_multiple_of(2) {
         240.0
     } else if inside {
         20.0
@@ -306,8 +306,10 @@ fn texture_equals_the_plain_deviation_also_on_bright_flats() {
 
 #[test]
 fn a_peak_is_the_first_of_equals_and_its_bounds_are_connected() {
-    let mut params = FaultParams::default();
-    params.peak_radius_cells = 0;
+    let params = FaultParams {
+        peak_radius_cells: 0,
+        ..FaultParams::default()
+    };
     let mut map = Plane::from_fn(30, 20, |_, _| 0.0);
     for (x, y, value) in [
         (10, 8, 4.0),

@@ -43,6 +43,31 @@ pub enum ThresholdError {
 }
 
 impl FaultThresholds {
+    /// Of the profile `draft` (128 px high, DIS finest scale 2, adjacent pairs only).
+    ///
+    /// This and the next two: the 99th percentile over the clean clips of the rendered sample, seeds 1
+    /// to 6, 72 clips of 32 frames at 256×192 (48 with a static camera), as
+    /// `examples/fit_fault_thresholds.rs` prints them, upwards to three digits. Rendered clips are
+    /// cleaner than recorded ones: fit on clean clips of the corpus at hand where there are any.
+    pub const DRAFT: Self = Self {
+        bad_frame: None,
+        jump: Some(0.0315),
+        appear: Some(0.487),
+        vanish: Some(0.021),
+        flicker: Some(0.853),
+        freeze: Some(1.0 - FREEZE_SHARE),
+    };
+
+    /// Of the profile `standard` (256 px high, DIS finest scale 1).
+    pub const STANDARD: Self = Self {
+        bad_frame: Some(0.0109),
+        jump: Some(0.0121),
+        appear: Some(0.477),
+        vanish: Some(0.0369),
+        flicker: Some(0.377),
+        freeze: Some(1.0 - FREEZE_SHARE),
+    };
+
     /// No kind is reported.
     pub const UNCALIBRATED: Self = Self {
         bad_frame: None,

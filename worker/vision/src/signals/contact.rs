@@ -7,8 +7,8 @@
 //! back: it is *revealed*, and *changed* when its colour, less the picture's common shift, differs by
 //! more than 20 levels on the mean of the channels. R_c = changed / (revealed + 125): a few cells prove
 //! nothing. The common shift is that since the frame before, so that a slow drift of exposure under a
-//! long cover looks like a change. Evidence grid, reference pixels, 8-bit levels. Needs a static camera. One frame is held
-//! back until its second neighbour is known, and one colour per cell.
+//! long cover looks like a change. Evidence grid, reference pixels, 8-bit levels. Needs a static
+//! camera. One frame is held back until its second neighbour is known, and one colour per cell.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,14 +1,18 @@
 //! The median of numbers.
 
-/// The median, the mean of the middle two for an even count; `None` of nothing. Sorts its argument.
+/// The median, the mean of the middle two for an even count; `None` of nothing. Reorders its argument.
 pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
-    match values.len() {
-        0 => None,
-        n if n % 2 == 1 => Some(values[middle]),
-        _ => Some(values[middle - 1] + (values[middle] - values[middle - 1]) / 2.0),
+    let is_odd = values.len() % 2 == 1;
+    if values.is_empty() {
+        return None;
     }
+    let (lower, &mut upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    let below = lower.iter().copied().max_by(f64::total_cmp);
+    Some(match below {
+        Some(below) if !is_odd => below + (upper - below) / 2.0,
+        _ => upper,
+    })
 }
 
 #[cfg(test)]
@@ -20,5 +24,6 @@ mod tests {
         assert_eq!(median(&mut []), None);
         assert_eq!(median(&mut [3.0, 1.0, 2.0]), Some(2.0));
         assert_eq!(median(&mut [4.0, 1.0]), Some(2.5));
+        assert_eq!(median(&mut [4.0, -1.0, 9.0, 2.0, 0.0, 7.0]), Some(3.0));
     }
 }

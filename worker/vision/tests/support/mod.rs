@@ -1,6 +1,11 @@
 //! Runs the fault detectors over a clip's pictures as the worker does, at the settings of one profile.
 
 #![allow(dead_code, reason = "each test binary uses its own part")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "what cannot be read fails the test"
+)]
 
 use std::collections::VecDeque;
 
@@ -13,27 +18,27 @@ use plumbline_vision::signals::contact::{Contact, ContactParams, ContactStream};
 
 /// What of a profile decides the fault scores.
 #[derive(Debug, Clone, Copy)]
-pub struct Rung {
-    pub name: &'static str,
-    pub height_px: usize,
-    pub finest_scale: u32,
+pub(crate) struct Rung {
+    pub(crate) name: &'static str,
+    pub(crate) height_px: usize,
+    pub(crate) finest_scale: u32,
     /// Whether there are pairs one frame apart.
-    pub skips: bool,
+    pub(crate) skips: bool,
 }
 
-pub const DRAFT: Rung = Rung {
+pub(crate) const DRAFT: Rung = Rung {
     name: "draft",
     height_px: 128,
     finest_scale: 2,
     skips: false,
 };
-pub const STANDARD: Rung = Rung {
+pub(crate) const STANDARD: Rung = Rung {
     name: "standard",
     height_px: 256,
     finest_scale: 1,
     skips: true,
 };
-pub const ACCURATE: Rung = Rung {
+pub(crate) const ACCURATE: Rung = Rung {
     name: "accurate",
     height_px: 512,
     finest_scale: 0,
@@ -41,21 +46,21 @@ pub const ACCURATE: Rung = Rung {
 };
 
 /// A frame ready for pairs, at working size.
-pub struct Prepared {
-    pub rgb: Rgb8,
-    pub dis: DisFrame,
-    pub picture: NormalisedFrame,
+pub(crate) struct Prepared {
+    pub(crate) rgb: Rgb8,
+    pub(crate) dis: DisFrame,
+    pub(crate) picture: NormalisedFrame,
 }
 
 /// Flow and evidence at a rung's settings.
-pub struct Measure {
-    pub rung: Rung,
+pub(crate) struct Measure {
+    pub(crate) rung: Rung,
     params: ConsistencyParams,
     dis: Dis,
 }
 
 impl Measure {
-    pub fn new(rung: Rung) -> Self {
+    pub(crate) fn new(rung: Rung) -> Self {
         Self {
             rung,
             params: ConsistencyParams::default(),
@@ -63,7 +68,7 @@ impl Measure {
         }
     }
 
-    pub fn prepare(&self, rgb: &Rgb8) -> Prepared {
+    pub(crate) fn prepare(&self, rgb: &Rgb8) -> Prepared {
         let height = self.rung.height_px;
         let width = (rgb.width * height + rgb.height / 2) / rgb.height;
         let rgb = resize_rgb(rgb, width, height);
@@ -75,7 +80,7 @@ impl Measure {
         }
     }
 
-    pub fn pair(&mut self, earlier: &Prepared, later: &Prepared) -> ChangePair {
+    pub(crate) fn pair(&mut self, earlier: &Prepared, later: &Prepared) -> ChangePair {
         let mut flow = |a: &Prepared, b: &Prepared| {
             let flow = self.dis.flow(&a.dis, &b.dis).unwrap();
             GridFlow::new(&flow, &self.params).unwrap()
@@ -92,7 +97,7 @@ impl Measure {
 }
 
 /// Fault series and contact statistic of a clip whose first picture is frame `first_frame`.
-pub fn measure(
+pub(crate) fn measure(
     pictures: impl IntoIterator<Item = Rgb8>,
     first_frame: usize,
     rung: Rung,
@@ -123,12 +128,15 @@ pub fn measure(
 }
 
 /// A rendered picture.
-pub fn picture(frame: RgbFrame) -> Rgb8 {
+pub(crate) fn picture(frame: RgbFrame) -> Rgb8 {
     Rgb8::new(frame.width, frame.height, frame.rgb).unwrap()
 }
 
 /// Runs `work` over the items on two threads; the results keep the items' order.
-pub fn on_two_threads<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+pub(crate) fn on_two_threads<T: Sync, R: Send>(
+    items: &[T],
+    work: impl Fn(&T) -> R + Sync,
+) -> Vec<R> {
     let next = std::sync::atomic::AtomicUsize::new(0);
     let results = std::sync::Mutex::new(Vec::new());
     std::thread::scope(|scope| {

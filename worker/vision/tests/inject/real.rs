@@ -1,0 +1,80 @@
+//! Real clips of static cameras from `../shared/data`, decoded by the `ffmpeg` command.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use plumbline_vision::image::{Rgb8, resize_rgb};
+
+/// Frames of a clip, from its middle, as in the evidence.
+pub(crate) const FRAMES: usize = 26;
+/// Height of the pictures that faults are injected into, pixels.
+pub(crate) const HEIGHT_PX: usize = 256;
+
+/// Real clips but those of wrist cameras, in order of their names; `None` without `../shared` beside
+/// the repository or without ffmpeg.
+pub(crate) fn static_clips() -> Option<Vec<PathBuf>> {
+    Command::new("ffmpeg").arg("-version").output().ok()?;
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .map(|folder| folder.join("shared/data/rollouts/real"))
+        .find(|folder| folder.is_dir())?;
+    let mut clips: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| !path.to_string_lossy().contains("wrist"))
+        .collect();
+    clips.sort();
+    Some(clips)
+}
+
+/// The middle [`FRAMES`] frames, [`HEIGHT_PX`] high; `None` of a shorter clip.
+pub(crate) fn load(path: &Path) -> Option<Vec<Rgb8>> {
+    let output = Command::new("ffmpeg")
+        .args(["-v", "error", "-threads", "1", "-i"])
+        .arg(path)
+        .args([
+            "-fps_mode",
+            "passthrough",
+            "-f",
+            "image2pipe",
+            "-c:v",
+            "ppm",
+            "-",
+        ])
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{path:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let (mut rest, mut frames) = (output.stdout.as_slice(), Vec::new());
+    while !rest.is_empty() {
+        let (frame, after) = ppm(rest);
+        frames.push(frame);
+        rest = after;
+    }
+    let first = frames.len().checked_sub(FRAMES)? / 2;
+    let resized = frames[first..first + FRAMES].iter().map(|frame| {
+        let width = (frame.width * HEIGHT_PX + frame.height / 2) / frame.height;
+        resize_rgb(frame, width, HEIGHT_PX)
+    });
+    Some(resized.collect())
+}
+
+/// The first picture of a PPM stream ("P6", width, height, 255, each followed by one white space) and
+/// what follows it.
+fn ppm(bytes: &[u8]) -> (Rgb8, &[u8]) {
+    let mut rest = bytes;
+    let mut word = || {
+        let end = rest.iter().position(u8::is_ascii_whitespace).unwrap();
+        let word = std::str::from_utf8(&rest[..end]).unwrap();
+        rest = &rest[end + 1..];
+        word
+    };
+    assert_eq!(word(), "P6");
+    let (width, height): (usize, usize) = (word().parse().unwrap(), word().parse().unwrap());
+    assert_eq!(word(), "255");
+    let (pixels, after) = rest.split_at(width * height * 3);
+    (Rgb8::new(width, height, pixels.to_vec()).unwrap(), after)
+}
