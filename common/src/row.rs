@@ -108,6 +108,12 @@ pub struct Series {
     pub appearance_ratio: Vec<Option<f64>>,
     /// Mean |flow|.
     pub motion_px: Vec<Option<f64>>,
+    /// accs of the two steps of constant visual motion that end here; defined on kept frames only.
+    pub layer_acceleration: Vec<Option<f64>>,
+    /// Sd of the step that ends here.
+    pub interior_shear: Vec<Option<f64>>,
+    /// sh of the points that end here.
+    pub detail_change: Vec<Option<f64>>,
 }
 
 /// What one worker says of one video, whatever else is in the corpus.
@@ -149,6 +155,22 @@ pub struct Measurement {
     pub piecewise_residual: Option<f64>,
     /// T, clip median.
     pub appearance_ratio: Option<f64>,
+    /// accs, clip median over steps of constant visual motion: layers that do not keep their motion.
+    pub layer_acceleration: Option<f64>,
+    /// Sd, clip median, 1/px: rigid interiors that shear.
+    pub interior_shear: Option<f64>,
+    /// sh, clip median: moving surfaces that change their detail.
+    pub detail_change: Option<f64>,
+    /// U·R_c: low where nothing is touched and the clip has little to be judged by.
+    pub contact: Option<f64>,
+    /// The frame of the most severe fault.
+    pub peak_frame: Option<u32>,
+    /// Frames with a fault, the most severe first; empty where none was found, `None` where the
+    /// detectors did not run.
+    pub fault_frames: Option<Vec<u32>>,
+    /// Kinds of those faults, in the same order: `bad_frame`, `jump`, `appear`, `vanish`, `flicker`,
+    /// `freeze`.
+    pub fault_kinds: Option<Vec<String>>,
     /// Mean of e_t.
     pub mean_error: Option<f64>,
     /// Largest |e_t − e_{t−1}|.
@@ -184,6 +206,13 @@ impl Measurement {
             occluded_fraction: None,
             piecewise_residual: None,
             appearance_ratio: None,
+            layer_acceleration: None,
+            interior_shear: None,
+            detail_change: None,
+            contact: None,
+            peak_frame: None,
+            fault_frames: None,
+            fault_kinds: None,
             mean_error: None,
             max_jump: None,
             paper_peak_frame: None,
@@ -228,6 +257,12 @@ pub struct Row {
     pub z_piecewise_residual: Option<f64>,
     /// Robust z of T, clipped to [−3, 6].
     pub z_appearance_ratio: Option<f64>,
+    /// Robust z of accs, clipped to [−3, 6].
+    pub z_layer_acceleration: Option<f64>,
+    /// Robust z of Sd, clipped to [−3, 6].
+    pub z_interior_shear: Option<f64>,
+    /// Robust z of sh, clipped to [−3, 6].
+    pub z_detail_change: Option<f64>,
     /// S_r: the relative anomaly score of the chosen recipe; lower is better.
     pub anomaly: Option<f64>,
     /// Lower end of its 90% interval (block bootstrap over frame pairs).

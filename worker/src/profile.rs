@@ -1,9 +1,12 @@
 //! Profiles: every knob of a measurement in one struct, hashed into every result.
 
 use plumbline_vision::consistency::ConsistencyParams;
+use plumbline_vision::faults::{FaultParams, FaultThresholds};
 use plumbline_vision::flow::dis::DisParams;
 use plumbline_vision::scene::{GridParams, TwoViewParams};
 use plumbline_vision::signals::SignalParams;
+use plumbline_vision::signals::arc::{ArcParams, ArcSelectorParams};
+use plumbline_vision::signals::contact::ContactParams;
 use serde::{Deserialize, Serialize};
 
 use crate::decode::DecodeLimits;
@@ -52,6 +55,16 @@ pub struct Profile {
     pub consistency: ConsistencyParams,
     /// P, T and motion.
     pub signals: SignalParams,
+    /// Which frames make steps of constant visual motion.
+    pub arc_selector: ArcSelectorParams,
+    /// accs, Sd and sh on those steps.
+    pub arc: ArcParams,
+    /// Fault detectors.
+    pub faults: FaultParams,
+    /// Above which score a fault is reported.
+    pub fault_thresholds: FaultThresholds,
+    /// U·R_c.
+    pub contact: ContactParams,
     /// Frame distances of the edges that geometry looks at, ascending; 1 is always measured.
     pub edge_spans: Vec<u32>,
     /// Grid of the geometric measure.
@@ -102,10 +115,10 @@ impl Profile {
     /// The profile of a rung.
     #[must_use]
     pub fn new(rung: Rung) -> Self {
-        let (working_height_px, finest_scale, edge_spans) = match rung {
-            Rung::Draft => (128, 2, vec![1]),
-            Rung::Standard => (256, 1, vec![1, 2]),
-            Rung::Accurate => (512, 0, vec![1, 2, 3]),
+        let (working_height_px, finest_scale, edge_spans, fault_thresholds) = match rung {
+            Rung::Draft => (128, 2, vec![1], FaultThresholds::DRAFT),
+            Rung::Standard => (256, 1, vec![1, 2], FaultThresholds::STANDARD),
+            Rung::Accurate => (512, 0, vec![1, 2, 3], FaultThresholds::UNCALIBRATED),
         };
         Self {
             measure_version: MEASURE_VERSION,
@@ -114,6 +127,11 @@ impl Profile {
             flow: DisParams::ultrafast(finest_scale),
             consistency: ConsistencyParams::default(),
             signals: SignalParams::default(),
+            arc_selector: ArcSelectorParams::default(),
+            arc: ArcParams::default(),
+            faults: FaultParams::default(),
+            fault_thresholds,
+            contact: ContactParams::default(),
             edge_spans,
             // The grid of dense bundle adjustment at 256 px; the same points at every rung.
             grid: GridParams {

@@ -3,7 +3,7 @@
 
 use plumbline_common::row::{GeometryMethod, Row, Scene};
 
-use crate::publish::table::Kind::{Bool, Float64, Text, UInt32, UInt64};
+use crate::publish::table::Kind::{Bool, Float64, ListText, ListUInt32, Text, UInt32, UInt64};
 use crate::publish::table::{Cell, Column, carried_columns};
 use crate::reduce::decision_name;
 
@@ -68,6 +68,16 @@ fn measured() -> Vec<Column<Row>> {
         Column::field("appearance_ratio", Float64, |r| {
             r.measured.appearance_ratio.into()
         }),
+        Column::field("layer_acceleration", Float64, |r| {
+            r.measured.layer_acceleration.into()
+        }),
+        Column::field("interior_shear", Float64, |r| {
+            r.measured.interior_shear.into()
+        }),
+        Column::field("detail_change", Float64, |r| {
+            r.measured.detail_change.into()
+        }),
+        Column::field("contact", Float64, |r| r.measured.contact.into()),
     ]
 }
 
@@ -84,6 +94,11 @@ fn judged() -> Vec<Column<Row>> {
         Column::field("z_appearance_ratio", Float64, |r| {
             r.z_appearance_ratio.into()
         }),
+        Column::field("z_layer_acceleration", Float64, |r| {
+            r.z_layer_acceleration.into()
+        }),
+        Column::field("z_interior_shear", Float64, |r| r.z_interior_shear.into()),
+        Column::field("z_detail_change", Float64, |r| r.z_detail_change.into()),
         Column::field("anomaly", Float64, |r| r.anomaly.into()),
         Column::field("anomaly_lo", Float64, |r| r.anomaly_lo.into()),
         Column::field("anomaly_hi", Float64, |r| r.anomaly_hi.into()),
@@ -91,12 +106,19 @@ fn judged() -> Vec<Column<Row>> {
         Column::field("percentile", Float64, |r| r.percentile.into()),
         Column::field("decision", Text, |r| decision_name(r.decision).into()),
         Column::field("reward", Float64, |r| r.reward.into()),
+        Column::field("peak_frame", UInt32, |r| r.measured.peak_frame.into()),
         Column::field("paper_peak_frame", UInt32, |r| {
             r.measured.paper_peak_frame.into()
         }),
         Column::field("peak_reliable", Bool, |r| r.measured.peak_reliable.into()),
         Column::field("mean_error", Float64, |r| r.measured.mean_error.into()),
         Column::field("max_jump", Float64, |r| r.measured.max_jump.into()),
+        Column::field("fault_frames", ListUInt32, |r| {
+            r.measured.fault_frames.as_ref().into()
+        }),
+        Column::field("fault_kinds", ListText, |r| {
+            r.measured.fault_kinds.as_ref().into()
+        }),
         Column::field("recipe", Text, |r| r.recipe.as_str().into()),
         Column::field("profile_digest", Text, |r| r.profile_digest.as_str().into()),
     ]
@@ -135,9 +157,11 @@ mod tests {
     const DOCUMENTED: &str = "video, group, status, status_reason, digest, bytes, frames, fps, \
         width, height, duration_s, scene, motion_px, reproj_px, reproj_method, aepe_px, \
         aepe_worldscore_px, occluded_fraction, piecewise_residual, appearance_ratio, \
-        z_reproj_px, z_aepe_worldscore_px, z_piecewise_residual, z_appearance_ratio, anomaly, \
-        anomaly_lo, anomaly_hi, rank, percentile, decision, reward, paper_peak_frame, \
-        peak_reliable, mean_error, max_jump, recipe, profile_digest";
+        layer_acceleration, interior_shear, detail_change, contact, \
+        z_reproj_px, z_aepe_worldscore_px, z_piecewise_residual, z_appearance_ratio, \
+        z_layer_acceleration, z_interior_shear, z_detail_change, anomaly, \
+        anomaly_lo, anomaly_hi, rank, percentile, decision, reward, peak_frame, paper_peak_frame, \
+        peak_reliable, mean_error, max_jump, fault_frames, fault_kinds, recipe, profile_digest";
 
     #[test]
     fn columns_are_the_documented_ones_in_order() {

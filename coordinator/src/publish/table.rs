@@ -22,6 +22,10 @@ pub enum Kind {
     Float64,
     /// True or false.
     Bool,
+    /// A list of 32-bit counts.
+    ListUInt32,
+    /// A list of texts.
+    ListText,
 }
 
 /// One value on its way out.
@@ -37,6 +41,10 @@ pub enum Cell<'r> {
     Float(f64),
     /// True or false.
     Bool(bool),
+    /// A list of counts.
+    Counts(&'r [u32]),
+    /// A list of texts.
+    Texts(&'r [String]),
     /// A carried value, as it came.
     Carried(&'r Value),
 }
@@ -44,6 +52,16 @@ pub enum Cell<'r> {
 impl<'r> From<&'r str> for Cell<'r> {
     fn from(text: &'r str) -> Self {
         Self::Text(text)
+    }
+}
+impl<'r> From<&'r Vec<u32>> for Cell<'r> {
+    fn from(counts: &'r Vec<u32>) -> Self {
+        Self::Counts(counts)
+    }
+}
+impl<'r> From<&'r Vec<String>> for Cell<'r> {
+    fn from(texts: &'r Vec<String>) -> Self {
+        Self::Texts(texts)
     }
 }
 impl From<u32> for Cell<'_> {

@@ -33,6 +33,9 @@ fn row(video: &str, carried: Value) -> Row {
         z_aepe_worldscore_px: None,
         z_piecewise_residual: None,
         z_appearance_ratio: None,
+        z_layer_acceleration: None,
+        z_interior_shear: None,
+        z_detail_change: None,
         anomaly: None,
         anomaly_lo: None,
         anomaly_hi: None,
@@ -68,6 +71,13 @@ fn full_row(video: &str, carried: Value) -> Row {
             occluded_fraction: Some(0.0),
             piecewise_residual: Some(0.1),
             appearance_ratio: Some(2.0),
+            layer_acceleration: Some(0.11),
+            interior_shear: Some(0.006),
+            detail_change: Some(0.2),
+            contact: Some(0.03),
+            peak_frame: Some(12),
+            fault_frames: Some(vec![12, 3]),
+            fault_kinds: Some(vec!["jump".to_owned(), "flicker".to_owned()]),
             mean_error: Some(3.0),
             max_jump: Some(4.0),
             paper_peak_frame: Some(17),
@@ -78,6 +88,9 @@ fn full_row(video: &str, carried: Value) -> Row {
         z_aepe_worldscore_px: Some(-1.5),
         z_piecewise_residual: Some(0.25),
         z_appearance_ratio: Some(-0.25),
+        z_layer_acceleration: Some(0.125),
+        z_interior_shear: Some(-3.0),
+        z_detail_change: Some(6.0),
         anomaly: Some(0.5),
         anomaly_lo: Some(0.25),
         anomaly_hi: Some(0.75),
@@ -149,6 +162,10 @@ fn value(array: &ArrayRef, index: usize) -> Value {
         DataType::Int64 => array.as_primitive::<Int64Type>().value(index).into(),
         DataType::Float64 => array.as_primitive::<Float64Type>().value(index).into(),
         DataType::Boolean => array.as_boolean().value(index).into(),
+        DataType::List(_) => {
+            let items = array.as_list::<i32>().value(index);
+            (0..items.len()).map(|index| value(&items, index)).collect()
+        }
         other => panic!("no column has the type {other}"),
     }
 }
@@ -176,7 +193,7 @@ fn parquet_and_jsonl_say_the_same() {
     for (json, parquet) in from_jsonl.iter().zip(&from_parquet) {
         let names: Vec<_> = json.keys().collect();
         assert_eq!(names, parquet.keys().collect::<Vec<_>>());
-        assert_eq!(names.len(), 37 + 8);
+        assert_eq!(names.len(), 47 + 8);
         for (column, value) in json {
             assert_eq!(as_in_parquet(column, value), parquet[column], "{column}");
         }

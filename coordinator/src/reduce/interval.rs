@@ -2,7 +2,7 @@
 //!
 //! Neighbouring pairs are not independent, so whole blocks of them are drawn (Künsch 1989), of
 //! ⌈n^(1/3)⌉ pairs, at least 2. Each replicate recomputes the clip's signals from the drawn pairs
-//! (s_3: mean of e_t weighed by cells; s_p: mean; P and T: medians) and scores them with the
+//! (s_3: mean of e_t weighed by cells; s_p: mean; the others: medians) and scores them with the
 //! corpus' yardstick held fixed: the interval says how far the clip's own frames bear its score out,
 //! not how the corpus might have been different.
 //!
@@ -31,6 +31,9 @@ pub struct IntervalParams {
     pub percentiles: (u32, u32),
     /// With fewer pairs (of any signal that counts) the blocks are too few to say anything.
     pub min_pairs: usize,
+    /// The same for signals of steps of constant visual motion, which lie several pairs apart; the
+    /// least that their clip value needs.
+    pub min_steps: usize,
     /// Shortest block.
     pub min_block: usize,
 }
@@ -41,7 +44,18 @@ impl Default for IntervalParams {
             replicates: 200,
             percentiles: (5, 95),
             min_pairs: 8,
+            min_steps: 3,
             min_block: 2,
+        }
+    }
+}
+
+impl IntervalParams {
+    fn least(&self, signal: Signal) -> usize {
+        if signal.is_per_step() {
+            self.min_steps
+        } else {
+            self.min_pairs
         }
     }
 }
@@ -63,7 +77,7 @@ pub fn anomaly_interval(
     if signals.is_empty()
         || signals
             .iter()
-            .any(|&s| defined_pairs(series, s) < params.min_pairs)
+            .any(|&s| defined_pairs(series, s) < params.least(s))
     {
         return None;
     }
@@ -103,6 +117,9 @@ fn pair_values(series: &Series, signal: Signal) -> &[Option<f64>] {
         Signal::AepeWorldscorePx => &series.aepe_worldscore_px,
         Signal::PiecewiseResidual => &series.piecewise_residual,
         Signal::AppearanceRatio => &series.appearance_ratio,
+        Signal::LayerAcceleration => &series.layer_acceleration,
+        Signal::InteriorShear => &series.interior_shear,
+        Signal::DetailChange => &series.detail_change,
     }
 }
 
@@ -178,7 +195,10 @@ mod tests {
     fn yardstick() -> Yardstick {
         let standard = Ruler::Standard(Moments::of(&[1.0, 3.0]).unwrap().standard().unwrap());
         Yardstick {
-            rulers: BySignal([Ruler::Absent, standard, Ruler::Absent, Ruler::Absent]),
+            rulers: BySignal(Signal::ALL.map(|signal| match signal {
+                Signal::AepeWorldscorePx => standard,
+                _ => Ruler::Absent,
+            })),
             paper_weights: Some([0.0, 1.0]),
         }
     }
@@ -189,7 +209,7 @@ mod tests {
             ..Series::default()
         };
         let mean = aepe.iter().sum::<f64>() / aepe.len() as f64;
-        let values = BySignal([None, Some(mean), None, None]);
+        let values = BySignal([None, Some(mean), None, None, None, None, None]);
         let y = yardstick();
         let anomaly = y.anomaly(Recipe::Paper, &values).unwrap();
         let found = anomaly_interval(

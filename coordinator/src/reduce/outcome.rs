@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub enum Recipe {
     /// The paper's two measures, z-scored and weighed by entropy.
     Paper,
-    /// The motion-balanced signals P and T, mean of robust z.
+    /// The motion-balanced families {P, T} and {accs, Sd, sh}: mean of their means of robust z.
     Balanced,
 }
 
@@ -81,7 +81,7 @@ pub struct WeightSensitivity {
 pub struct Population {
     /// Scored rows.
     pub n: u64,
-    /// By column name: `reproj_px`, `aepe_worldscore_px`, `piecewise_residual`, `appearance_ratio`.
+    /// By column name, every signal of every recipe.
     pub signals: BTreeMap<String, SignalStatistics>,
     /// Entropy weights of the paper's two signals, by column name; they sum to 1, or are empty.
     pub weights: BTreeMap<String, f64>,

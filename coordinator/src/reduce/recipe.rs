@@ -23,21 +23,37 @@ pub enum Signal {
     PiecewiseResidual,
     /// T.
     AppearanceRatio,
+    /// accs.
+    LayerAcceleration,
+    /// Sd.
+    InteriorShear,
+    /// sh.
+    DetailChange,
 }
 
 /// The paper's two measures.
 pub const PAPER: [Signal; 2] = [Signal::ReprojPx, Signal::AepeWorldscorePx];
 
 /// Families of motion-balanced signals; each family counts once, however many signals it has.
-pub const BALANCED: [&[Signal]; 1] = [&[Signal::PiecewiseResidual, Signal::AppearanceRatio]];
+pub const BALANCED: [&[Signal]; 2] = [
+    &[Signal::PiecewiseResidual, Signal::AppearanceRatio],
+    &[
+        Signal::LayerAcceleration,
+        Signal::InteriorShear,
+        Signal::DetailChange,
+    ],
+];
 
 impl Signal {
     /// All signals, in column order.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 7] = [
         Self::ReprojPx,
         Self::AepeWorldscorePx,
         Self::PiecewiseResidual,
         Self::AppearanceRatio,
+        Self::LayerAcceleration,
+        Self::InteriorShear,
+        Self::DetailChange,
     ];
 
     /// Column name.
@@ -48,6 +64,9 @@ impl Signal {
             Self::AepeWorldscorePx => "aepe_worldscore_px",
             Self::PiecewiseResidual => "piecewise_residual",
             Self::AppearanceRatio => "appearance_ratio",
+            Self::LayerAcceleration => "layer_acceleration",
+            Self::InteriorShear => "interior_shear",
+            Self::DetailChange => "detail_change",
         }
     }
 
@@ -59,13 +78,25 @@ impl Signal {
             Self::AepeWorldscorePx => measured.aepe_worldscore_px,
             Self::PiecewiseResidual => measured.piecewise_residual,
             Self::AppearanceRatio => measured.appearance_ratio,
+            Self::LayerAcceleration => measured.layer_acceleration,
+            Self::InteriorShear => measured.interior_shear,
+            Self::DetailChange => measured.detail_change,
         }
+    }
+
+    /// True for the signals of steps of constant visual motion: a clip has fewer of those than pairs.
+    #[must_use]
+    pub fn is_per_step(self) -> bool {
+        matches!(
+            self,
+            Self::LayerAcceleration | Self::InteriorShear | Self::DetailChange
+        )
     }
 
     /// True for the signals that are measured by median and MAD instead of μ and σ.
     #[must_use]
     pub fn is_robust(self) -> bool {
-        matches!(self, Self::PiecewiseResidual | Self::AppearanceRatio)
+        !matches!(self, Self::ReprojPx | Self::AepeWorldscorePx)
     }
 }
 
@@ -208,12 +239,17 @@ mod tests {
         let sorted = Sorted::new(vec![1.0, 2.0, 3.0, 4.0, 100.0]);
         let robust = Ruler::Robust(RobustStandard::of(&sorted).unwrap());
         Yardstick {
-            rulers: BySignal([standard, standard, robust, robust]),
+            rulers: BySignal([standard, standard, robust, robust, robust, robust, robust]),
             paper_weights: Some([0.75, 0.25]),
         }
     }
 
     const NONE: Option<f64> = None;
+
+    /// A row that lacks the last three signals.
+    fn by([s3, sp, p, t]: [Option<f64>; 4]) -> BySignal<Option<f64>> {
+        BySignal([s3, sp, p, t, NONE, NONE, NONE])
+    }
 
     #[test]
     fn columns_are_indexed_in_order() {
@@ -224,7 +260,7 @@ mod tests {
 
     #[test]
     fn paper_weighs_what_a_row_has() {
-        let score = |a, b| yardstick().anomaly(Recipe::Paper, &BySignal([a, b, NONE, NONE]));
+        let score = |a, b| yardstick().anomaly(Recipe::Paper, &by([a, b, NONE, NONE]));
         assert_eq!(score(Some(3.0), Some(0.0)), Some(0.75 - 0.5));
         assert_eq!(score(Some(4.0), None), Some(2.0));
         assert_eq!(score(None, Some(4.0)), Some(2.0));
@@ -233,7 +269,7 @@ mod tests {
 
     #[test]
     fn balanced_is_a_mean() {
-        let score = |p, t| yardstick().anomaly(Recipe::Balanced, &BySignal([NONE, NONE, p, t]));
+        let score = |p, t| yardstick().anomaly(Recipe::Balanced, &by([NONE, NONE, p, t]));
         assert_eq!(score(Some(4.0), Some(1.0)), Some(-0.5));
         assert_eq!(score(Some(99.0), None), Some(6.0));
         assert_eq!(score(None, None), None);
@@ -246,20 +282,20 @@ mod tests {
         y.rulers[Signal::ReprojPx] = flat;
         y.paper_weights = Some([0.0, 1.0]);
         assert_eq!(
-            y.anomaly(Recipe::Paper, &BySignal([Some(2.0), Some(5.0), NONE, NONE])),
+            y.anomaly(Recipe::Paper, &by([Some(2.0), Some(5.0), NONE, NONE])),
             Some(3.0)
         );
         // The only signal that the row has says nothing.
         assert_eq!(
-            y.anomaly(Recipe::Paper, &BySignal([Some(2.0), NONE, NONE, NONE])),
+            y.anomaly(Recipe::Paper, &by([Some(2.0), NONE, NONE, NONE])),
             None
         );
         // No signal of the recipe says anything: scores are 0, where there is a signal at all.
         y.paper_weights = None;
         assert_eq!(
-            y.anomaly(Recipe::Paper, &BySignal([Some(2.0), NONE, NONE, NONE])),
+            y.anomaly(Recipe::Paper, &by([Some(2.0), NONE, NONE, NONE])),
             Some(0.0)
         );
-        assert_eq!(y.anomaly(Recipe::Paper, &BySignal([NONE; 4])), None);
+        assert_eq!(y.anomaly(Recipe::Paper, &by([NONE; 4])), None);
     }
 }

@@ -43,6 +43,13 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         occluded_fraction,
         piecewise_residual,
         appearance_ratio,
+        layer_acceleration,
+        interior_shear,
+        detail_change,
+        contact,
+        peak_frame: _,
+        fault_frames: _,
+        fault_kinds: _,
         mean_error,
         max_jump,
         paper_peak_frame: _,
@@ -58,8 +65,11 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         piecewise_residual: series_piecewise_residual,
         appearance_ratio: series_appearance_ratio,
         motion_px: series_motion_px,
+        layer_acceleration: series_layer_acceleration,
+        interior_shear: series_interior_shear,
+        detail_change: series_detail_change,
     } = series;
-    let columns: [(&str, &mut [Option<f64>]); 17] = [
+    let columns: [(&str, &mut [Option<f64>]); 24] = [
         ("fps", std::slice::from_mut(fps)),
         ("duration_s", std::slice::from_mut(duration_s)),
         ("motion_px", std::slice::from_mut(motion_px)),
@@ -75,6 +85,13 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
             std::slice::from_mut(piecewise_residual),
         ),
         ("appearance_ratio", std::slice::from_mut(appearance_ratio)),
+        (
+            "layer_acceleration",
+            std::slice::from_mut(layer_acceleration),
+        ),
+        ("interior_shear", std::slice::from_mut(interior_shear)),
+        ("detail_change", std::slice::from_mut(detail_change)),
+        ("contact", std::slice::from_mut(contact)),
         ("mean_error", std::slice::from_mut(mean_error)),
         ("max_jump", std::slice::from_mut(max_jump)),
         ("series.aepe_px", series_aepe_px),
@@ -83,6 +100,9 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         ("series.piecewise_residual", series_piecewise_residual),
         ("series.appearance_ratio", series_appearance_ratio),
         ("series.motion_px", series_motion_px),
+        ("series.layer_acceleration", series_layer_acceleration),
+        ("series.interior_shear", series_interior_shear),
+        ("series.detail_change", series_detail_change),
     ];
     let mut first = None;
     for (name, values) in columns {

@@ -112,11 +112,18 @@ fn paper_recipe_by_hand() {
 }
 
 /// P = 0 1 2 3: median 3/2, MAD 1, z = −3/2 −1/2 1/2 3/2. T = – 2 4 6: median 4, MAD 2, z = – −1 0 1.
+/// Their family: −3/2 −3/4 1/4 5/4. accs = P alone makes the other family; each row's score is the
+/// mean of the two.
 #[test]
 fn balanced_recipe_by_hand() {
-    let found = reduce(corpus(), &options(Recipe::Balanced, 2, "s<=0"));
+    let mut videos = corpus();
+    for video in &mut videos {
+        video.measurement.layer_acceleration = video.measurement.piecewise_residual;
+    }
+    let found = reduce(videos, &options(Recipe::Balanced, 2, "s<=0"));
     let scores: Vec<_> = found.rows.iter().map(|row| row.anomaly).collect();
-    assert_eq!(scores, [Some(-1.5), Some(-0.75), Some(0.25), Some(1.25)]);
+    assert_eq!(scores, [Some(-1.5), Some(-0.625), Some(0.375), Some(1.375)]);
+    assert_eq!(found.rows[3].z_layer_acceleration, Some(1.5));
     assert_eq!(found.rows[0].z_appearance_ratio, None);
     assert_eq!(found.rows[1].z_aepe_worldscore_px, Some(-1.0));
     assert!(
@@ -124,7 +131,7 @@ fn balanced_recipe_by_hand() {
             .statistics
             .warnings
             .iter()
-            .any(|w| w.starts_with("1 rows lack a signal"))
+            .any(|w| w.starts_with("4 rows lack a signal"))
     );
     use Decision::{Drop, Keep};
     assert_eq!(

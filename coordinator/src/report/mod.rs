@@ -9,6 +9,7 @@
 
 mod axis;
 mod distribution;
+mod faults;
 mod measures;
 mod motion;
 mod overview;
@@ -104,6 +105,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
     let sections = [
         overview::section(input),
         ranking::worst(input, &judged),
+        faults::section(input.rows),
         distribution::section(&judged),
         motion::section(&judged),
         measures::section(input.corpus),

@@ -101,7 +101,7 @@ fn how_to_read(input: &ReportInput<'_>) -> Markup {
             "It combines the two z-scored measures, geometric and photometric, by entropy weights."
         }
         Recipe::Balanced => {
-            "It is the mean of two motion-balanced signals, each as a robust z-score."
+            "It is the mean of two families of motion-balanced signals, each as a robust z-score."
         }
     };
     html! {

@@ -5,11 +5,13 @@ use maud::{Markup, html};
 use super::axis::Axis;
 use super::page::{Section, jpeg_address};
 use super::series::{sparkline, tenth};
-use super::{Judged, ReportInput, Scored, Thumbnails, text};
+use super::{Judged, ReportInput, Scored, Thumbnails, faults, text};
 
 /// Largest picture taken into the page; with 12 videos at each end and two pictures each it stays
 /// below 9 MB whatever the caller gives.
 const PICTURE_BYTES: usize = 128 << 10;
+/// Faults told on a card; the table of faults tells more.
+const FAULTS: usize = 3;
 
 pub(super) fn worst(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
     let shown = input.ranked.min(judged.worst_first.len().div_ceil(2));
@@ -110,9 +112,13 @@ fn card(scored: &Scored<'_>, axis: Axis, thumbnails: Option<Thumbnails>) -> Mark
                 (fact("z end-point", text::signed(row.z_aepe_worldscore_px)))
                 (fact("z piecewise", text::signed(row.z_piecewise_residual)))
                 (fact("z appearance", text::signed(row.z_appearance_ratio)))
+                (fact("z acceleration", text::signed(row.z_layer_acceleration)))
+                (fact("z shear", text::signed(row.z_interior_shear)))
+                (fact("z detail", text::signed(row.z_detail_change)))
                 (fact("motion, px", text::magnitude(measured.motion_px)))
                 (fact("peak frame", peak))
             }
+            @if let Some(faults) = faults::told(measured, FAULTS) { p.faults { b { "Faults " } (faults) } }
             (sparkline(measured))
         }
     }

@@ -172,36 +172,49 @@ fn the_balanced_recipe_is_the_mean_of_robust_z() {
     place.run("out", &["--recipe", "balanced"]).expect_code(0);
     let published = place.published("out");
     let rows = published.rows();
-    let names = ["piecewise_residual", "appearance_ratio"];
-    let statistics = names.map(|name| {
+    let families: [&[&str]; 2] = [
+        &["piecewise_residual", "appearance_ratio"],
+        &["layer_acceleration", "interior_shear", "detail_change"],
+    ];
+    let ruler = |name: &str| {
         let values: Vec<f64> = rows.iter().filter_map(|row| row[name].as_f64()).collect();
+        if values.is_empty() {
+            return None;
+        }
         let centre = median(&values);
         let deviations: Vec<f64> = values.iter().map(|value| (value - centre).abs()).collect();
         let told = &published.corpus()["corpus"]["signals"][name];
         close(told["median"].as_f64().unwrap(), centre, name);
         close(told["mad"].as_f64().unwrap(), median(&deviations), name);
-        (centre, median(&deviations))
-    });
+        Some((centre, median(&deviations)))
+    };
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let mut judged = 0;
     for row in &rows {
-        let mut z = Vec::new();
-        for (name, (centre, mad)) in names.iter().zip(statistics) {
-            if let Some(value) = row[*name].as_f64() {
+        let mut scores = Vec::new();
+        for family in families {
+            let mut z = Vec::new();
+            for name in family {
+                let (Some(value), Some((centre, mad))) = (row[*name].as_f64(), ruler(name)) else {
+                    continue;
+                };
+                if mad == 0.0 {
+                    continue;
+                }
                 z.push(((value - centre) / mad).clamp(-3.0, 6.0));
                 close(number(row, &format!("z_{name}")), z[z.len() - 1], name);
             }
+            if !z.is_empty() {
+                scores.push(mean(&z));
+            }
         }
-        if z.is_empty() {
+        if scores.is_empty() {
             assert!(
                 row["anomaly"].is_null() && row["decision"] == "review",
                 "{row:?}"
             );
         } else {
-            close(
-                number(row, "anomaly"),
-                z.iter().sum::<f64>() / z.len() as f64,
-                "anomaly",
-            );
+            close(number(row, "anomaly"), mean(&scores), "anomaly");
             judged += 1;
         }
     }

@@ -4,22 +4,23 @@
 //! a 256-px-high picture. Frame indices are those of the input, 0-based.
 
 use std::collections::VecDeque;
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use plumbline_common::message::Thumbnails;
-use plumbline_common::row::{GeometryMethod, Measurement, Scene, Series, Status};
+use plumbline_common::row::{Measurement, Scene, Status};
 use plumbline_vision::consistency::{
-    ConsistencyError, EndPointError, Evidence, GridFlow, NormalisedFrame, worldscore_epe,
+    EndPointError, Evidence, GridFlow, NormalisedFrame, worldscore_epe,
 };
+use plumbline_vision::faults::ChangePair;
+use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
-use plumbline_vision::flow::{Flow, FlowError};
 use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
-use plumbline_vision::scene::{
-    ClipGeometry, EdgeInput, RigidSolver, SceneError, SceneKind, TwoViewSolver, sample_grid,
-};
+use plumbline_vision::scene::{EdgeInput, RigidSolver, SceneError, TwoViewSolver, sample_grid};
 use plumbline_vision::signals::PairSignals;
 
-use super::assess::{assess, median};
+use super::fill;
+use super::observers::Observers;
 use super::thumbnail::thumbnails;
 use super::verdict::{PairEvidence, verdict};
 use crate::decode::{DecodedFrame, VideoInfo};
@@ -27,9 +28,6 @@ use crate::profile::Profile;
 
 /// Wider pictures would blow up at the working height; no camera makes them.
 const MAX_ASPECT: usize = 8;
-
-/// P and T of a clip are medians; fewer defined pairs are no evidence.
-const MIN_DEFINED_PAIRS: usize = 3;
 
 /// Weight of a correspondence whose forward and backward flow disagree utterly: not zero, since the
 /// models must not be chosen on the consistent part alone.
@@ -40,15 +38,24 @@ const LEAST_WEIGHT: f64 = 1e-3;
 pub(super) enum ClipError {
     #[error("the picture is {width}×{height}, an aspect beyond {MAX_ASPECT}:1; crop it")]
     Aspect { width: usize, height: usize },
-    #[error("optical flow at frame {frame}: {source}")]
-    Flow { frame: u32, source: FlowError },
-    #[error("consistency at frame {frame}: {source}")]
-    Consistency {
+    #[error("{stage} at frame {frame}: {source}")]
+    Stage {
+        stage: &'static str,
         frame: u32,
-        source: ConsistencyError,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
-    #[error("geometry at frame {frame}: {source}")]
-    Geometry { frame: u32, source: SceneError },
+}
+
+/// Names the stage and frame of an error.
+pub(super) fn at<E: std::error::Error + Send + Sync + 'static>(
+    stage: &'static str,
+    frame: u32,
+) -> impl Fn(E) -> ClipError {
+    move |source| ClipError::Stage {
+        stage,
+        frame,
+        source: Box::new(source),
+    }
 }
 
 /// Wall time by stage.
@@ -60,11 +67,11 @@ pub(super) struct Spent {
 }
 
 /// A frame, prepared once for all pairs that it takes part in.
-struct Prepared {
-    index: u32,
-    rgb: Rgb8,
+pub(super) struct Prepared {
+    pub(super) index: u32,
+    pub(super) rgb: Rgb8,
     dis: DisFrame,
-    normalised: NormalisedFrame,
+    pub(super) normalised: NormalisedFrame,
 }
 
 /// One adjacent pair's numbers.
@@ -81,22 +88,25 @@ struct Peak {
     heat: Plane,
 }
 
-/// Forward and backward flow between two frames, and how well they agree.
-struct BothWays {
+/// Forward and backward flow between two frames, how well they agree, and what changed.
+pub(super) struct Edge {
+    from: u32,
     forward: Flow,
     backward: Flow,
     end_point: EndPointError,
+    pub(super) change: ChangePair,
 }
 
 /// A clip being measured.
 pub(super) struct Clip<'a> {
     profile: &'a Profile,
     dis: Dis,
-    recent: VecDeque<Prepared>,
+    recent: VecDeque<Rc<Prepared>>,
     usable_frames: u32,
     pairs: Vec<Pair>,
     solver: Option<TwoViewSolver>,
     geometry_problem: Option<SceneError>,
+    observers: Option<Observers>,
     peak: Option<Peak>,
     pub(super) spent: Spent,
 }
@@ -115,6 +125,7 @@ impl<'a> Clip<'a> {
             pairs: Vec::new(),
             solver,
             geometry_problem,
+            observers: None,
             peak: None,
             spent: Spent::default(),
         }
@@ -126,21 +137,21 @@ impl<'a> Clip<'a> {
             return Ok(());
         }
         self.usable_frames += 1;
-        let current = self.prepare(frame)?;
-        let spans = self.profile.edge_spans.clone();
-        let recent = std::mem::take(&mut self.recent);
-        for earlier in &recent {
+        let current = Rc::new(self.prepare(frame)?);
+        let mut edges = Vec::with_capacity(self.profile.edge_spans.len());
+        for earlier in self.recent.clone() {
             let span = current.index - earlier.index;
-            if spans.contains(&span) {
-                let flows = self.flows(earlier, &current)?;
+            if self.profile.edge_spans.contains(&span) {
+                let edge = self.edge(&earlier, &current)?;
                 if span == 1 {
-                    self.photometric(earlier, &current, &flows)?;
+                    self.photometric(&current, &edge)?;
                 }
-                self.geometric(earlier.index, current.index, &flows)?;
+                self.geometric(current.index, &edge)?;
+                edges.push(edge);
             }
         }
-        self.recent = recent;
-        let longest = spans.last().copied().unwrap_or(1) as usize;
+        self.observe(&current, &edges)?;
+        let longest = self.profile.edge_spans.last().copied().unwrap_or(1) as usize;
         if self.recent.len() == longest {
             self.recent.pop_front();
         }
@@ -158,18 +169,10 @@ impl<'a> Clip<'a> {
         let rgb = resize_rgb(&frame.rgb, working_width.max(1), working_height);
         let grey = rgb.grey();
         let started = Instant::now();
-        let dis = DisFrame::new(&grey, &self.profile.flow).map_err(|source| ClipError::Flow {
-            frame: frame.index,
-            source,
-        })?;
+        let dis = DisFrame::new(&grey, &self.profile.flow).map_err(at("flow", frame.index))?;
         self.spent.flow += started.elapsed();
-        let normalised =
-            NormalisedFrame::new(&grey, &self.profile.consistency).map_err(|source| {
-                ClipError::Consistency {
-                    frame: frame.index,
-                    source,
-                }
-            })?;
+        let normalised = NormalisedFrame::new(&grey, &self.profile.consistency)
+            .map_err(at("consistency", frame.index))?;
         Ok(Prepared {
             index: frame.index,
             rgb,
@@ -178,80 +181,97 @@ impl<'a> Clip<'a> {
         })
     }
 
-    fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<BothWays, ClipError> {
-        let error = |source| ClipError::Flow {
-            frame: later.index,
-            source,
-        };
+    /// Both flows between two frames, and the evidence on them.
+    fn edge(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Edge, ClipError> {
         let started = Instant::now();
-        let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(error)?;
-        let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(error)?;
+        let flow_error = at("flow", later.index);
+        let forward = self
+            .dis
+            .flow(&earlier.dis, &later.dis)
+            .map_err(&flow_error)?;
+        let backward = self
+            .dis
+            .flow(&later.dis, &earlier.dis)
+            .map_err(&flow_error)?;
         self.spent.flow += started.elapsed();
         let started = Instant::now();
-        let end_point = EndPointError::new(&forward, &backward, &self.profile.consistency)
-            .map_err(|source| ClipError::Consistency {
-                frame: later.index,
-                source,
-            })?;
+        let params = &self.profile.consistency;
+        let error = at("consistency", later.index);
+        let end_point = EndPointError::new(&forward, &backward, params).map_err(&error)?;
+        let ahead = GridFlow::new(&forward, params).map_err(&error)?;
+        let back = GridFlow::new(&backward, params).map_err(&error)?;
+        let evidence = |flow, other, first: &Prepared, second: &Prepared| {
+            Evidence::new(flow, other, &first.normalised, &second.normalised, params)
+                .map_err(&error)
+        };
+        let change = ChangePair::new(
+            evidence(&ahead, &back, earlier, later)?,
+            evidence(&back, &ahead, later, earlier)?,
+        );
         self.spent.signals += started.elapsed();
-        Ok(BothWays {
+        Ok(Edge {
+            from: earlier.index,
             forward,
             backward,
             end_point,
+            change,
         })
     }
 
-    /// End-point errors and signals of an adjacent pair.
-    fn photometric(
-        &mut self,
-        earlier: &Prepared,
-        later: &Prepared,
-        flows: &BothWays,
-    ) -> Result<(), ClipError> {
-        let error = |source| ClipError::Consistency {
-            frame: later.index,
-            source,
+    /// Faults, contact, and the steps of constant visual motion.
+    fn observe(&mut self, current: &Rc<Prepared>, edges: &[Edge]) -> Result<(), ClipError> {
+        let started = Instant::now();
+        let find = |from: u32| edges.iter().find(move |edge| edge.from == from);
+        let span = |span: u32| find(current.index.checked_sub(span)?);
+        let mut observers = match self.observers.take() {
+            Some(observers) => observers,
+            None => Observers::new(self.profile, current.index)?,
         };
+        observers.frame(current, span(1), span(2))?;
+        let is_step = observers.is_step(current)?;
+        self.spent.signals += started.elapsed();
+        if is_step {
+            let evidence = match observers.kept() {
+                None => None,
+                Some(kept) => Some(match find(kept.index) {
+                    Some(edge) => edge.change.forward.clone(),
+                    None => self.edge(kept, current)?.change.forward,
+                }),
+            };
+            observers.step(Rc::clone(current), evidence)?;
+        }
+        self.observers = Some(observers);
+        Ok(())
+    }
+
+    /// End-point errors and signals of an adjacent pair.
+    fn photometric(&mut self, later: &Prepared, edge: &Edge) -> Result<(), ClipError> {
         let started = Instant::now();
         let params = &self.profile.consistency;
-        let worldscore = worldscore_epe(&flows.forward, &flows.backward).map_err(error)?;
-        let forward = GridFlow::new(&flows.forward, params).map_err(error)?;
-        let backward = GridFlow::new(&flows.backward, params).map_err(error)?;
-        let evidence = Evidence::new(
-            &forward,
-            &backward,
-            &earlier.normalised,
-            &later.normalised,
-            params,
-        )
-        .map_err(error)?;
+        let error = at("consistency", later.index);
+        let worldscore = worldscore_epe(&edge.forward, &edge.backward).map_err(&error)?;
         let signals = PairSignals::new(
-            &evidence,
-            &flows.end_point,
+            &edge.change.forward,
+            &edge.end_point,
             &worldscore,
             params,
             &self.profile.signals,
         );
-        let is_worst = |error_px: f64| {
-            self.peak
-                .as_ref()
-                .is_none_or(|peak| error_px > peak.error_px)
+        let is_worst = |error_px: &f64| {
+            let peak = self.peak.as_ref();
+            peak.is_none_or(|peak| *error_px > peak.error_px)
         };
-        if let Some(error_px) = signals.aepe_px.filter(|error_px| is_worst(*error_px)) {
+        if let Some(error_px) = signals.aepe_px.filter(is_worst) {
             // The map of the way back lies on the later frame, which is the one shown.
-            let back =
-                EndPointError::new(&flows.backward, &flows.forward, params).map_err(error)?;
+            let back = EndPointError::new(&edge.backward, &edge.forward, params).map_err(&error)?;
+            let shown = |error_px: &Option<f32>| error_px.unwrap_or(0.0);
             self.peak = Some(Peak {
                 error_px,
                 frame: later.rgb.clone(),
                 heat: Plane {
                     width: back.width,
                     height: back.height,
-                    data: back
-                        .error_px
-                        .iter()
-                        .map(|error| error.unwrap_or(0.0))
-                        .collect(),
+                    data: back.error_px.iter().map(shown).collect(),
                 },
             });
         }
@@ -264,26 +284,26 @@ impl<'a> Clip<'a> {
     }
 
     /// Motion models of one edge; each correspondence weighs by how well the two directions agree.
-    fn geometric(&mut self, from: u32, to: u32, flows: &BothWays) -> Result<(), ClipError> {
+    fn geometric(&mut self, to: u32, edge: &Edge) -> Result<(), ClipError> {
         let Some(solver) = &mut self.solver else {
             return Ok(());
         };
         let started = Instant::now();
-        let error = |source| ClipError::Geometry { frame: to, source };
-        let width = flows.forward.width;
-        let unit_px = self.profile.consistency.reference_height_px / flows.forward.height as f64;
+        let (width, height) = (edge.forward.width, edge.forward.height);
+        let unit_px = self.profile.consistency.reference_height_px / height as f64;
         let weight_at = |x: usize, y: usize| {
-            let error_px = f64::from(flows.end_point.error_px[y * width + x]?);
+            let error_px = f64::from(edge.end_point.error_px[y * width + x]?);
             Some((1.0 / (1.0 + error_px * error_px)).max(LEAST_WEIGHT))
         };
+        let error = at("geometry", to);
         let field =
-            sample_grid(&flows.forward, unit_px, &self.profile.grid, weight_at).map_err(error)?;
-        let edge = EdgeInput {
-            from_frame: from as usize,
+            sample_grid(&edge.forward, unit_px, &self.profile.grid, weight_at).map_err(&error)?;
+        let judged = solver.edge(EdgeInput {
+            from_frame: edge.from as usize,
             to_frame: to as usize,
             field,
-        };
-        match solver.edge(edge) {
+        });
+        match judged {
             // Too little in frame to judge this edge; the others may do.
             Ok(()) | Err(SceneError::TooFewCells { .. }) => {}
             Err(source) => return Err(error(source)),
@@ -308,9 +328,18 @@ impl<'a> Clip<'a> {
         row.width = Some(info.width);
         row.height = Some(info.height);
         row.duration_s = info.duration_s;
-        self.fill_photometric(&mut row);
-        if let Ok(geometry) = geometry {
-            fill_geometric(&mut row, &geometry, self.profile.warmup_frames);
+        let pairs: Vec<(u32, &PairSignals)> = self
+            .pairs
+            .iter()
+            .map(|pair| (pair.frame, &pair.signals))
+            .collect();
+        fill::photometric(&mut row, &pairs);
+        if let Ok(geometry) = &geometry {
+            fill::geometric(&mut row, geometry, self.profile.warmup_frames);
+        }
+        let static_camera = row.scene == Some(Scene::StaticCamera);
+        if let Some(observers) = self.observers.take().filter(|_| !pairs.is_empty()) {
+            fill::observed(&mut row, &observers.finish(static_camera));
         }
         if row.status == Status::Scored && row.reproj_px.is_none() && row.aepe_px.is_none() {
             row.status = Status::Failed;
@@ -343,70 +372,5 @@ impl<'a> Clip<'a> {
             })
             .collect();
         verdict(self.usable_frames, &evidence, &self.profile.verdict)
-    }
-
-    fn fill_photometric(&self, row: &mut Measurement) {
-        let series = |value: fn(&PairSignals) -> Option<f64>| -> Vec<Option<f64>> {
-            self.pairs.iter().map(|pair| value(&pair.signals)).collect()
-        };
-        row.series = Series {
-            first_frame: self.pairs.first().map_or(0, |pair| pair.frame),
-            aepe_px: series(|signals| signals.aepe_px),
-            aepe_worldscore_px: series(|signals| signals.aepe_worldscore_px),
-            reproj_px: vec![None; self.pairs.len()],
-            reproj_cells: vec![0; self.pairs.len()],
-            piecewise_residual: series(|signals| signals.piecewise_residual),
-            appearance_ratio: series(|signals| signals.appearance_ratio),
-            motion_px: series(|signals| signals.motion_px),
-        };
-        row.aepe_px = mean(&row.series.aepe_px);
-        row.aepe_worldscore_px = mean(&row.series.aepe_worldscore_px);
-        row.motion_px = mean(&row.series.motion_px);
-        row.occluded_fraction = mean(&series(|signals| signals.occluded_fraction));
-        row.piecewise_residual = median_of_defined(&row.series.piecewise_residual);
-        row.appearance_ratio = median_of_defined(&row.series.appearance_ratio);
-    }
-}
-
-fn fill_geometric(row: &mut Measurement, geometry: &ClipGeometry, warmup_frames: u32) {
-    row.scene = Some(match geometry.scene {
-        SceneKind::StaticCamera => Scene::StaticCamera,
-        SceneKind::Rotation => Scene::Rotation,
-        SceneKind::Parallax => Scene::Parallax,
-    });
-    row.reproj_method = Some(GeometryMethod::TwoViewGric);
-    row.reproj_px = Some(geometry.residual_px);
-    let first_frame = row.series.first_frame;
-    let mut series = Vec::with_capacity(geometry.series.len());
-    for residual in &geometry.series {
-        let frame = residual.frame as u32;
-        series.push((frame, residual.residual_px));
-        let place = frame.checked_sub(first_frame).map(|place| place as usize);
-        if let Some(place) = place.filter(|&place| place < row.series.reproj_px.len()) {
-            row.series.reproj_px[place] = Some(residual.residual_px);
-            row.series.reproj_cells[place] = u32::try_from(residual.cells).unwrap_or(u32::MAX);
-        }
-    }
-    let assessment = assess(&series, warmup_frames);
-    row.mean_error = assessment.mean_error;
-    row.max_jump = assessment.max_jump;
-    row.paper_peak_frame = assessment.peak_frame;
-    row.peak_reliable = assessment.peak_reliable;
-}
-
-fn mean(values: &[Option<f64>]) -> Option<f64> {
-    let defined = values.iter().flatten();
-    let (sum, count) = defined.fold((0.0, 0usize), |(sum, count), value| {
-        (sum + value, count + 1)
-    });
-    (count > 0).then(|| sum / count as f64)
-}
-
-fn median_of_defined(values: &[Option<f64>]) -> Option<f64> {
-    let defined: Vec<f64> = values.iter().flatten().copied().collect();
-    if defined.len() < MIN_DEFINED_PAIRS {
-        None
-    } else {
-        median(&defined)
     }
 }

@@ -7,6 +7,8 @@
 
 mod assess;
 mod clip;
+mod fill;
+mod observers;
 mod read;
 mod thumbnail;
 mod verdict;

@@ -27,6 +27,8 @@ pub(super) fn write<R>(
                 Cell::Unsigned(count) => serde_json::to_writer(&mut line, &count)?,
                 Cell::Float(value) => serde_json::to_writer(&mut line, &value)?,
                 Cell::Bool(value) => serde_json::to_writer(&mut line, &value)?,
+                Cell::Counts(counts) => serde_json::to_writer(&mut line, counts)?,
+                Cell::Texts(texts) => serde_json::to_writer(&mut line, texts)?,
                 Cell::Carried(value) => serde_json::to_writer(&mut line, value)?,
             }
         }

@@ -112,6 +112,8 @@ fn text_of(cell: Cell<'_>) -> Result<Option<Cow<'_, str>>, serde_json::Error> {
         Cell::Unsigned(count) => Some(Cow::Owned(count.to_string())),
         Cell::Float(value) => Some(Cow::Owned(serde_json::to_string(&value)?)),
         Cell::Bool(value) => Some(Cow::Borrowed(if value { "true" } else { "false" })),
+        Cell::Counts(counts) => Some(Cow::Owned(serde_json::to_string(counts)?)),
+        Cell::Texts(texts) => Some(Cow::Owned(serde_json::to_string(texts)?)),
         Cell::Carried(Value::String(text)) => Some(Cow::Borrowed(text)),
         Cell::Carried(value) => Some(Cow::Owned(serde_json::to_string(value)?)),
     })

@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::sync::Arc;
 
-use arrow_array::builder::StringBuilder;
+use arrow_array::builder::{ListBuilder, StringBuilder, UInt32Builder};
 use arrow_array::{
     ArrayRef, BooleanArray, Float64Array, Int64Array, RecordBatch, RecordBatchOptions, UInt32Array,
     UInt64Array,
@@ -60,6 +60,8 @@ fn data_type(kind: Kind) -> DataType {
         Kind::Int64 => DataType::Int64,
         Kind::Float64 => DataType::Float64,
         Kind::Bool => DataType::Boolean,
+        Kind::ListUInt32 => DataType::new_list(DataType::UInt32, true),
+        Kind::ListText => DataType::new_list(DataType::Utf8, true),
     }
 }
 
@@ -82,6 +84,26 @@ fn array<R>(column: &Column<R>, records: &[R]) -> Result<ArrayRef, EncodeError> 
         Kind::Int64 => Arc::new(cells.map(signed).collect::<Int64Array>()),
         Kind::Float64 => Arc::new(cells.map(float).collect::<Float64Array>()),
         Kind::Bool => Arc::new(cells.map(boolean).collect::<BooleanArray>()),
+        Kind::ListUInt32 => {
+            let mut builder = ListBuilder::new(UInt32Builder::new());
+            for cell in cells {
+                builder.append_option(match cell {
+                    Cell::Counts(counts) => Some(counts.iter().copied().map(Some)),
+                    _ => None,
+                });
+            }
+            Arc::new(builder.finish())
+        }
+        Kind::ListText => {
+            let mut builder = ListBuilder::new(StringBuilder::new());
+            for cell in cells {
+                builder.append_option(match cell {
+                    Cell::Texts(texts) => Some(texts.iter().map(Some)),
+                    _ => None,
+                });
+            }
+            Arc::new(builder.finish())
+        }
     })
 }
 

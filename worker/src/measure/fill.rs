@@ -1,0 +1,111 @@
+//! From what was measured to the columns of the row.
+
+use plumbline_common::row::{GeometryMethod, Measurement, Scene, Series};
+use plumbline_vision::scene::{ClipGeometry, SceneKind};
+use plumbline_vision::signals::PairSignals;
+use plumbline_vision::signals::arc::ArcStep;
+
+use super::assess::{assess, median};
+use super::observers::Observed;
+
+/// P and T of a clip are medians; fewer defined pairs are no evidence.
+const MIN_DEFINED_PAIRS: usize = 3;
+
+/// Fills in what comes from adjacent pairs (later frame and signals, in order).
+pub(super) fn photometric(row: &mut Measurement, pairs: &[(u32, &PairSignals)]) {
+    let series = |value: fn(&PairSignals) -> Option<f64>| -> Vec<Option<f64>> {
+        pairs.iter().map(|(_, signals)| value(signals)).collect()
+    };
+    let undefined = vec![None; pairs.len()];
+    row.series = Series {
+        first_frame: pairs.first().map_or(0, |(frame, _)| *frame),
+        aepe_px: series(|signals| signals.aepe_px),
+        aepe_worldscore_px: series(|signals| signals.aepe_worldscore_px),
+        reproj_px: undefined.clone(),
+        reproj_cells: vec![0; pairs.len()],
+        piecewise_residual: series(|signals| signals.piecewise_residual),
+        appearance_ratio: series(|signals| signals.appearance_ratio),
+        motion_px: series(|signals| signals.motion_px),
+        layer_acceleration: undefined.clone(),
+        interior_shear: undefined.clone(),
+        detail_change: undefined,
+    };
+    row.aepe_px = mean(&row.series.aepe_px);
+    row.aepe_worldscore_px = mean(&row.series.aepe_worldscore_px);
+    row.motion_px = mean(&row.series.motion_px);
+    row.occluded_fraction = mean(&series(|signals| signals.occluded_fraction));
+    row.piecewise_residual = median_of_defined(&row.series.piecewise_residual);
+    row.appearance_ratio = median_of_defined(&row.series.appearance_ratio);
+}
+
+/// Fills in what the motion models say.
+pub(super) fn geometric(row: &mut Measurement, geometry: &ClipGeometry, warmup_frames: u32) {
+    row.scene = Some(match geometry.scene {
+        SceneKind::StaticCamera => Scene::StaticCamera,
+        SceneKind::Rotation => Scene::Rotation,
+        SceneKind::Parallax => Scene::Parallax,
+    });
+    row.reproj_method = Some(GeometryMethod::TwoViewGric);
+    row.reproj_px = Some(geometry.residual_px);
+    let mut series = Vec::with_capacity(geometry.series.len());
+    for residual in &geometry.series {
+        series.push((residual.frame as u32, residual.residual_px));
+        if let Some(place) = place(row, residual.frame) {
+            row.series.reproj_px[place] = Some(residual.residual_px);
+            row.series.reproj_cells[place] = u32::try_from(residual.cells).unwrap_or(u32::MAX);
+        }
+    }
+    let assessment = assess(&series, warmup_frames);
+    row.mean_error = assessment.mean_error;
+    row.max_jump = assessment.max_jump;
+    row.paper_peak_frame = assessment.peak_frame;
+    row.peak_reliable = assessment.peak_reliable;
+}
+
+/// Fills in faults, contact and the signals on steps of constant visual motion.
+pub(super) fn observed(row: &mut Measurement, observed: &Observed) {
+    let faults = observed.events.iter();
+    row.fault_frames = Some(faults.clone().map(|event| event.frame as u32).collect());
+    row.fault_kinds = Some(faults.map(|event| event.kind.as_str().to_owned()).collect());
+    row.peak_frame = observed.events.first().map(|event| event.frame as u32);
+    row.contact = observed.contact.map(|contact| contact.score());
+    row.layer_acceleration = observed.arc.layer_acceleration;
+    row.interior_shear = observed.arc.interior_shear;
+    row.detail_change = observed.arc.detail_change;
+    for step in &observed.arc.steps {
+        let ArcStep {
+            frame,
+            layer_acceleration,
+            interior_shear,
+            detail_change,
+        } = *step;
+        if let Some(place) = place(row, frame) {
+            row.series.layer_acceleration[place] = layer_acceleration;
+            row.series.interior_shear[place] = interior_shear;
+            row.series.detail_change[place] = detail_change;
+        }
+    }
+}
+
+/// Where a frame stands in the series; none outside it.
+fn place(row: &Measurement, frame: usize) -> Option<usize> {
+    let place = frame.checked_sub(row.series.first_frame as usize)?;
+    (place < row.series.reproj_px.len()).then_some(place)
+}
+
+fn mean(values: &[Option<f64>]) -> Option<f64> {
+    let defined = values.iter().flatten();
+    let (sum, count) = defined.fold((0.0, 0usize), |(sum, count), value| {
+        (sum + value, count + 1)
+    });
+    (count > 0).then(|| sum / count as f64)
+}
+
+fn median_of_defined(values: &[Option<f64>]) -> Option<f64> {
+    let defined: Vec<f64> = values.iter().flatten().copied().collect();
+    if defined.len() < MIN_DEFINED_PAIRS {
+        None
+    } else {
+        median(&defined)
+    }
+}

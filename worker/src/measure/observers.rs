@@ -1,0 +1,101 @@
+//! What watches a clip beside its pairs and edges: the fault detectors, the contact statistic, and
+//! the signals on steps of constant visual motion (ARC).
+
+use std::rc::Rc;
+
+use plumbline_vision::consistency::Evidence;
+use plumbline_vision::faults::{FaultEvent, FaultInput, FaultStream, FaultThresholds};
+use plumbline_vision::signals::arc::{ArcClip, ArcSelector, ArcSignals};
+use plumbline_vision::signals::contact::{Contact, ContactStream};
+
+use super::clip::{ClipError, Edge, Prepared, at};
+use crate::profile::Profile;
+
+/// The observers of one clip.
+pub(super) struct Observers {
+    faults: FaultStream,
+    thresholds: FaultThresholds,
+    contact: ContactStream,
+    selector: ArcSelector,
+    arc: ArcSignals,
+    kept: Option<Rc<Prepared>>,
+}
+
+/// What they saw.
+pub(super) struct Observed {
+    /// Faults, the most severe first.
+    pub(super) events: Vec<FaultEvent>,
+    /// U·R_c, where the camera stands still.
+    pub(super) contact: Option<Contact>,
+    /// accs, Sd and sh.
+    pub(super) arc: ArcClip,
+}
+
+impl Observers {
+    /// Observers that have seen nothing; `frame` is the first they will see.
+    pub(super) fn new(profile: &Profile, frame: u32) -> Result<Self, ClipError> {
+        Ok(Self {
+            faults: FaultStream::new(profile.faults.clone()).map_err(at("faults", frame))?,
+            thresholds: profile.fault_thresholds,
+            contact: ContactStream::new(profile.contact.clone()),
+            selector: ArcSelector::new(profile.arc_selector.clone()),
+            arc: ArcSignals::new(profile.arc.clone()).map_err(at("constant motion", frame))?,
+            kept: None,
+        })
+    }
+
+    /// Takes the next frame with its edges to the frame before and to the one before that.
+    pub(super) fn frame(
+        &mut self,
+        current: &Prepared,
+        adjacent: Option<&Edge>,
+        skip: Option<&Edge>,
+    ) -> Result<(), ClipError> {
+        let input = FaultInput {
+            frame: current.index as usize,
+            picture: &current.normalised,
+            adjacent: adjacent.map(|edge| &edge.change),
+            skip: skip.map(|edge| &edge.change),
+        };
+        self.faults
+            .push(input)
+            .map_err(at("faults", current.index))?;
+        self.contact
+            .push(&current.rgb, adjacent.map(|edge| &edge.change))
+            .map_err(at("contact", current.index))
+    }
+
+    /// Whether enough has moved since the kept frame that this one is to be kept.
+    pub(super) fn is_step(&mut self, current: &Prepared) -> Result<bool, ClipError> {
+        self.selector
+            .push(&current.normalised)
+            .map_err(at("constant motion", current.index))
+    }
+
+    /// The last kept frame.
+    pub(super) fn kept(&self) -> Option<&Prepared> {
+        self.kept.as_deref()
+    }
+
+    /// Keeps a frame, with the evidence from the last kept one to it.
+    pub(super) fn step(
+        &mut self,
+        current: Rc<Prepared>,
+        evidence: Option<Evidence>,
+    ) -> Result<(), ClipError> {
+        self.arc
+            .push(current.index as usize, &current.normalised, evidence)
+            .map_err(at("constant motion", current.index))?;
+        self.kept = Some(current);
+        Ok(())
+    }
+
+    /// What they saw of the whole clip.
+    pub(super) fn finish(self, static_camera: bool) -> Observed {
+        Observed {
+            events: self.faults.finish(static_camera).events(&self.thresholds),
+            contact: self.contact.finish().filter(|_| static_camera),
+            arc: self.arc.finish(),
+        }
+    }
+}
