@@ -3,6 +3,7 @@
 //! Flows are in pixels of their own grid, `[H, W, 2]`, x (right) then y (down).
 
 pub mod dis;
+pub(crate) mod simd;
 
 use crate::image::ImageError;
 

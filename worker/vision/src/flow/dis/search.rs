@@ -3,7 +3,7 @@
 //!
 //! The gradient and its structure tensor belong to the first frame, so an iteration costs one
 //! interpolated difference. Two sweeps, forwards and backwards, each trying the vectors of the two
-//! neighbours visited before. A patch keeps its starting vector when the search ends further away
+//! neighbours visited before in its stripe. A patch keeps its starting vector when the search ends further away
 //! than a patch size: it has slid off along an edge or over flat ground.
 
 use super::densify::DenseField;
@@ -52,6 +52,7 @@ impl Search {
         let columns = first.patch_columns.len();
         let rows = first.patch_rows.len();
         let iterations = params.gradient_descent_iterations / params.sweeps();
+        let stripe_rows = rows.div_ceil(params.propagation_stripes);
         for sweep in 0..params.sweeps() {
             let backwards = sweep % 2 == 1;
             for step in 0..rows * columns {
@@ -64,12 +65,13 @@ impl Search {
                 let neighbours = if backwards {
                     [
                         (column + 1 < columns).then_some(index + 1),
-                        (row + 1 < rows).then_some(index + columns),
+                        (row + 1 < rows && !(row + 1).is_multiple_of(stripe_rows))
+                            .then_some(index + columns),
                     ]
                 } else {
                     [
                         (column > 0).then(|| index - 1),
-                        (row > 0).then(|| index - columns),
+                        (!row.is_multiple_of(stripe_rows)).then(|| index - columns),
                     ]
                 };
                 let patch = Patch::<P> {

@@ -4,7 +4,7 @@
 use super::densify::{DenseField, Densifier};
 use super::frame::{Level, coarsest_scale};
 use super::search::Search;
-use super::{Dis, DisFrame, DisParams};
+use super::{Dis, DisFrame, DisParams, RefinementParams};
 use crate::flow::{Flow, FlowError};
 use crate::image::Plane;
 
@@ -160,6 +160,7 @@ fn twin_search(
     } else {
         &[1]
     };
+    let stripe = |row: i64| row / (rows.div_ceil(params.propagation_stripes) as i64);
     for &direction in sweeps {
         let order: Vec<usize> = if direction > 0 {
             (0..rows * columns).collect()
@@ -176,7 +177,11 @@ fn twin_search(
             let mut best = field[index];
             if params.spatial_propagation {
                 for (r, c) in [(row, column - direction), (row - direction, column)] {
-                    let exists = r >= 0 && r < rows as i64 && c >= 0 && c < columns as i64;
+                    let exists = r >= 0
+                        && r < rows as i64
+                        && c >= 0
+                        && c < columns as i64
+                        && stripe(r) == stripe(row);
                     if exists {
                         let candidate = field[(r * columns as i64 + c) as usize];
                         if compare(candidate).0 < compare(best).0 {
@@ -403,6 +408,40 @@ fn repeated_runs_and_reused_buffers_give_the_same_bits() {
     assert_eq!(dis.flow(&frames[0], &frames[1]).unwrap(), fresh);
 }
 
+/// FNV-1a over the bit patterns of a flow.
+fn fingerprint(flow: &Flow) -> u64 {
+    let bytes = flow.data.iter().flatten().flat_map(|c| c.to_le_bytes());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
+}
+
+/// The bits of the first version, found on x86-64 without AVX: neither a faster kernel nor another
+/// instruction set may change them.
+#[test]
+fn bits_never_change() {
+    let plain = DisParams {
+        mean_normalisation: false,
+        spatial_propagation: false,
+        patch_size: 12,
+        ..DisParams::ultrafast(0)
+    };
+    let cases = [
+        (DisParams::ultrafast(0), 0x283a_1328_c0cb_e713),
+        (DisParams::ultrafast(1), 0xbfa4_2a07_3e55_18f2),
+        (DisParams::ultrafast(2), 0xdcbb_798e_9c76_193a),
+        (plain, 0x4270_1880_8959_b771),
+    ];
+    for (params, expected) in cases {
+        let flow = solve(
+            &texture(157, 118, 0.0, 0.0),
+            &texture(157, 118, 2.3, -1.6),
+            &params,
+        );
+        assert_eq!(fingerprint(&flow), expected, "{params:?}");
+    }
+}
+
 #[test]
 fn bad_input_is_a_typed_error() {
     let params = DisParams::default();
@@ -460,6 +499,24 @@ fn bad_input_is_a_typed_error() {
         },
         DisParams {
             finest_scale: 99,
+            ..params.clone()
+        },
+        DisParams {
+            propagation_stripes: 0,
+            ..params.clone()
+        },
+        DisParams {
+            refinement: RefinementParams {
+                relaxation: 2.0,
+                ..RefinementParams::default()
+            },
+            ..params.clone()
+        },
+        DisParams {
+            refinement: RefinementParams {
+                epsilon: f32::NAN,
+                ..RefinementParams::default()
+            },
             ..params.clone()
         },
     ];
