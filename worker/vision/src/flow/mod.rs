@@ -9,7 +9,7 @@ use crate::image::ImageError;
 
 /// A dense flow field, `[H, W, 2]` row-major, x then y, in pixels of its own grid: the point at
 /// column `x`, row `y` of the first frame is at `(x + u, y + v)` in the second.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Flow {
     /// Columns.
     pub width: usize,

@@ -162,7 +162,7 @@ impl Level {
     }
 
     /// The picture's pixels from column `x`, row `y` on.
-    #[inline]
+    #[inline(always)]
     pub(super) fn pixels_at(&self, x: usize, y: usize) -> &[f32] {
         &self.padded[(y + self.border) * self.stride + x + self.border..]
     }

@@ -25,7 +25,7 @@ mod search;
 pub use frame::DisFrame;
 pub use params::{DisParams, RefinementParams};
 
-use self::densify::{DenseField, Densifier};
+use self::densify::{DenseField, Densifier, Upsampler};
 use self::refine::Refiner;
 use self::search::Search;
 use super::{Flow, FlowError};
@@ -38,6 +38,7 @@ pub struct Dis {
     densifier: Densifier,
     refiner: Refiner,
     field: DenseField,
+    upsampler: Upsampler,
 }
 
 impl Dis {
@@ -50,6 +51,7 @@ impl Dis {
             densifier: Densifier::default(),
             refiner: Refiner::default(),
             field: DenseField::default(),
+            upsampler: Upsampler::default(),
         }
     }
 
@@ -59,6 +61,22 @@ impl Dis {
     /// [`FlowError::SizeMismatch`] when the frames differ in size, [`FlowError::ParamsMismatch`] when
     /// one was prepared with other parameters.
     pub fn flow(&mut self, first: &DisFrame, second: &DisFrame) -> Result<Flow, FlowError> {
+        let mut flow = Flow::default();
+        self.flow_into(first, second, &mut flow)?;
+        Ok(flow)
+    }
+
+    /// As [`flow`](Self::flow), into a field that is resized where needed: with frames of one size
+    /// nothing is allocated after the first pair.
+    ///
+    /// # Errors
+    /// As [`flow`](Self::flow); `flow` is unchanged then.
+    pub fn flow_into(
+        &mut self,
+        first: &DisFrame,
+        second: &DisFrame,
+        flow: &mut Flow,
+    ) -> Result<(), FlowError> {
         if first.size() != second.size() {
             return Err(FlowError::SizeMismatch {
                 first: first.size(),
@@ -83,7 +101,8 @@ impl Dis {
             );
         }
         let (width, height) = first.size();
-        Ok(self.field.upsample(width, height))
+        self.upsampler.upsample(&self.field, width, height, flow);
+        Ok(())
     }
 }
 

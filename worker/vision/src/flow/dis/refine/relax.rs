@@ -35,21 +35,29 @@ fn relax_row(
 ) {
     let keep = Lanes::splat(keep);
     for k in (0..du.len()).step_by(LANES) {
-        let ahead = Lanes::load(equations.coupling, k);
-        let left = Lanes::load(equations.coupling_left, k);
-        let above = Lanes::load(equations.coupling_above, k);
-        let neighbours = |around: &Around<'_>| {
-            left * Lanes::load(around.left, k)
-                + above * Lanes::load(around.above, k)
-                + ahead * (Lanes::load(around.right, k) + Lanes::load(around.below, k))
-        };
+        let couplings = [
+            equations.coupling_left,
+            equations.coupling_above,
+            equations.coupling,
+        ]
+        .map(|row| Lanes::load(row, k));
         let cross = Lanes::load(equations.cross, k);
         let (u, v) = (Lanes::load(du, k), Lanes::load(dv, k));
-        let target_u = neighbours(&around_u) + Lanes::load(equations.right_u, k) - cross * v;
+        let target_u =
+            pull(&around_u, k, couplings) + Lanes::load(equations.right_u, k) - cross * v;
         let u = keep * u + target_u * Lanes::load(equations.scale_u, k);
-        let target_v = neighbours(&around_v) + Lanes::load(equations.right_v, k) - cross * u;
+        let target_v =
+            pull(&around_v, k, couplings) + Lanes::load(equations.right_v, k) - cross * u;
         let v = keep * v + target_v * Lanes::load(equations.scale_v, k);
         u.store(du, k);
         v.store(dv, k);
     }
+}
+
+/// The coupled neighbours of eight pixels; `ahead` couples both the right and the lower one.
+#[inline(always)]
+fn pull(around: &Around<'_>, at: usize, [left, above, ahead]: [Lanes; 3]) -> Lanes {
+    left * Lanes::load(around.left, at)
+        + above * Lanes::load(around.above, at)
+        + ahead * (Lanes::load(around.right, at) + Lanes::load(around.below, at))
 }

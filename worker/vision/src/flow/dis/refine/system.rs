@@ -121,8 +121,10 @@ impl System {
         let residuals = linearisation.row(grid, colour, y);
         let du = increment.u.row(grid, colour, y);
         let dv = increment.v.row(grid, colour, y);
-        let base_u = (base.u.row(grid, colour, y), base.u.around(grid, colour, y));
-        let base_v = (base.v.row(grid, colour, y), base.v.around(grid, colour, y));
+        let base_u = base.u.row(grid, colour, y);
+        let base_v = base.v.row(grid, colour, y);
+        let around_u = base.u.around(grid, colour, y);
+        let around_v = base.v.around(grid, colour, y);
         let coupling = self.coupling.row(grid, colour, y);
         let coupled = self.coupling.around(grid, colour, y);
         let parity = colour.parity(y);
@@ -140,23 +142,15 @@ impl System {
             let ahead = Lanes::load(coupling, k);
             let left = Lanes::load(coupled.left, k);
             let above = Lanes::load(coupled.above, k);
+            let couplings = [left, above, ahead];
             let degree = Lanes::load(forward, k) - missing;
             let smooth = constants.ridge + (left + above + ahead * degree);
             let relaxation = Lanes::load(relaxation, k);
             (relaxation / (data.xx + smooth)).store(scale_u, k);
             (relaxation / (data.yy + smooth)).store(scale_v, k);
             data.xy.store(cross, k);
-            // The smoothness of the field as it was: its weighted Laplacian.
-            let pull = |(row, around): &(&[f32], Around<'_>)| {
-                let here = Lanes::load(row, k);
-                ahead
-                    * ((Lanes::load(around.right, k) - here)
-                        + (Lanes::load(around.below, k) - here))
-                    + (left * (Lanes::load(around.left, k) - here)
-                        + above * (Lanes::load(around.above, k) - here))
-            };
-            (pull(&base_u) - data.xz).store(right_u, k);
-            (pull(&base_v) - data.yz).store(right_v, k);
+            (laplacian(base_u, &around_u, k, couplings) - data.xz).store(right_u, k);
+            (laplacian(base_v, &around_v, k, couplings) - data.yz).store(right_v, k);
         }
     }
 
@@ -219,14 +213,10 @@ impl DataTerm {
     ) -> Self {
         let [[bx, by, bz], [xx, xy, xz], [yx, yy, yz]] =
             residuals.map(|r| [r.x, r.y, r.z].map(|plane| Lanes::load(plane, at)));
-        let remaining = |x: Lanes, y: Lanes, z: Lanes| {
-            let r = z + x * du + y * dv;
-            r * r
-        };
-        let brightness =
-            constants.half_delta / (remaining(bx, by, bz) + constants.epsilon_squared).sqrt();
-        let gradient = constants.half_gamma
-            / (remaining(xx, xy, xz) + remaining(yx, yy, yz) + constants.epsilon_squared).sqrt();
+        let by_brightness = squared([bx, by, bz], [du, dv]);
+        let by_gradient = squared([xx, xy, xz], [du, dv]) + squared([yx, yy, yz], [du, dv]);
+        let brightness = constants.half_delta / (by_brightness + constants.epsilon_squared).sqrt();
+        let gradient = constants.half_gamma / (by_gradient + constants.epsilon_squared).sqrt();
         Self {
             xx: brightness * (bx * bx) + gradient * (xx * xx + yx * yx),
             xy: brightness * (bx * by) + gradient * (xx * xy + yx * yy),
@@ -251,13 +241,39 @@ fn couple(
     let around_u = current.u.around(grid, colour, y);
     let around_v = current.v.around(grid, colour, y);
     for k in (0..grid.half).step_by(LANES) {
-        let squares = |row: &[f32], around: &Around<'_>| {
-            let here = Lanes::load(row, k);
-            let right = Lanes::load(around.right, k) - here;
-            let below = Lanes::load(around.below, k) - here;
-            right * right + below * below
-        };
-        let norm = squares(u, &around_u) + squares(v, &around_v) + constants.epsilon_squared;
+        let norm =
+            roughness(u, &around_u, k) + roughness(v, &around_v, k) + constants.epsilon_squared;
         (constants.half_alpha / norm.sqrt()).store(coupling, k);
     }
+}
+
+/// Squared forward differences of eight pixels.
+#[inline(always)]
+fn roughness(row: &[f32], around: &Around<'_>, at: usize) -> Lanes {
+    let here = Lanes::load(row, at);
+    let right = Lanes::load(around.right, at) - here;
+    let below = Lanes::load(around.below, at) - here;
+    right * right + below * below
+}
+
+/// (z + x du + y dv)².
+#[inline(always)]
+fn squared([x, y, z]: [Lanes; 3], [du, dv]: [Lanes; 2]) -> Lanes {
+    let r = z + x * du + y * dv;
+    r * r
+}
+
+/// Weighted differences of eight pixels to their neighbours: the pull of the field as it was.
+#[inline(always)]
+fn laplacian(
+    row: &[f32],
+    around: &Around<'_>,
+    at: usize,
+    [left, above, ahead]: [Lanes; 3],
+) -> Lanes {
+    let here = Lanes::load(row, at);
+    let forward = (Lanes::load(around.right, at) - here) + (Lanes::load(around.below, at) - here);
+    ahead * forward
+        + (left * (Lanes::load(around.left, at) - here)
+            + above * (Lanes::load(around.above, at) - here))
 }
