@@ -68,7 +68,9 @@ impl Bordered {
 /// The four pixels around every end point of one row, and the point's place among them.
 #[derive(Debug, Clone, Default)]
 struct Corners {
-    offset: Vec<u32>,
+    /// Whole numbers, left as floats here because Rust's saturating casts do not become vectors.
+    left: Vec<f32>,
+    top: Vec<f32>,
     fraction_x: Vec<f32>,
     fraction_y: Vec<f32>,
     pixels: [Vec<f32>; 4],
@@ -76,11 +78,13 @@ struct Corners {
 
 impl Corners {
     fn reshape(&mut self, width: usize) {
-        self.offset.resize(width, 0);
-        for plane in [&mut self.fraction_x, &mut self.fraction_y]
-            .into_iter()
-            .chain(&mut self.pixels)
-        {
+        let places = [
+            &mut self.left,
+            &mut self.top,
+            &mut self.fraction_x,
+            &mut self.fraction_y,
+        ];
+        for plane in places.into_iter().chain(&mut self.pixels) {
             plane.resize(width, 0.0);
         }
     }
@@ -90,25 +94,28 @@ impl Corners {
     fn gather(&mut self, second: &Level, y: usize, u: &[f32], v: &[f32]) {
         let width = second.width;
         let (last_x, last_y) = ((width - 1) as f32, (second.height - 1) as f32);
-        let origin = (second.border * second.stride + second.border) as u32;
-        let stride = second.stride as u32;
-        let offset = &mut self.offset[..width];
+        let origin = second.border * second.stride + second.border;
+        let left = &mut self.left[..width];
+        let top = &mut self.top[..width];
         let fraction_x = &mut self.fraction_x[..width];
         let fraction_y = &mut self.fraction_y[..width];
         let (u, v) = (&u[..width], &v[..width]);
+        let y = y as f32;
         for k in 0..width {
             let x = (k as i32 as f32 + u[k]).max(0.0).min(last_x);
-            let y = (y as f32 + v[k]).max(0.0).min(last_y);
-            // In range, so the casts only truncate; through i32, which is one instruction.
-            let (left, top) = (x as i32, y as i32);
-            offset[k] = origin + top as u32 * stride + left as u32;
-            fraction_x[k] = x - left as f32;
-            fraction_y[k] = y - top as f32;
+            let y = (y + v[k]).max(0.0).min(last_y);
+            left[k] = x.floor();
+            top[k] = y.floor();
+            fraction_x[k] = x - left[k];
+            fraction_y[k] = y - top[k];
         }
         let [a, b, c, d] = &mut self.pixels;
         let corners = a.iter_mut().zip(b).zip(c).zip(d);
-        for ((((a, b), c), d), &offset) in corners.zip(offset.iter()) {
-            let window = &second.padded[offset as usize..][..second.stride + 2];
+        let places = left.iter().zip(top.iter());
+        for ((((a, b), c), d), (&left, &top)) in corners.zip(places) {
+            // In range; through i32, which converts in one instruction.
+            let (left, top) = (left as i32 as usize, top as i32 as usize);
+            let window = &second.padded[origin + top * second.stride + left..][..second.stride + 2];
             *a = window[0];
             *b = window[1];
             *c = window[second.stride];
