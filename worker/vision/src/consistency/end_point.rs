@@ -5,9 +5,14 @@
 //! `occluded_fraction` says how many in-frame pixels fail the usual test (Sundaram, Brox, Keutzer
 //! 2010). Full working grid, `[H, W]`; unit: pixels of a picture `reference_height_px` high.
 
-use super::{ConsistencyError, ConsistencyParams, check_pair, check_values, squared_norm};
+use super::{
+    ConsistencyError, ConsistencyParams, MAX_FLOW_PX, check_pair, check_values, squared_norm,
+};
 use crate::flow::Flow;
-use crate::image::Bilinear;
+use crate::flow::simd::{Kernel, dispatch};
+
+// Vectors checked before looking whether one failed: a few cache lines.
+const CHECK_CHUNK: usize = 256;
 
 /// End-point errors of one direction of one pair.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,40 +43,198 @@ impl EndPointError {
     ) -> Result<Self, ConsistencyError> {
         params.validate()?;
         check_pair(forward, backward)?;
-        check_values(forward)?;
-        check_values(backward)?;
-        let (width, height) = (forward.width, forward.height);
-        let scale = (params.reference_height_px / height as f64) as f32;
+        for flow in [forward, backward] {
+            if !all_plausible(flow) {
+                check_values(flow)?;
+            }
+        }
+        Ok(dispatch(Measurement {
+            forward,
+            backward,
+            params,
+        }))
+    }
+}
+
+struct Measurement<'a> {
+    forward: &'a Flow,
+    backward: &'a Flow,
+    params: &'a ConsistencyParams,
+}
+
+impl Kernel for Measurement<'_> {
+    type Output = EndPointError;
+
+    /// Row by row: where every pixel goes, the four vectors there, then errors in whole vectors; the
+    /// mean is one f64 sum over the in-frame pixels in reading order.
+    #[inline(always)]
+    fn run(self) -> EndPointError {
+        let (width, height) = (self.forward.width, self.forward.height);
+        let scale = (self.params.reference_height_px / height as f64) as f32;
+        let mut row = Row::new(width);
         let (mut sum, mut in_frame, mut occluded) = (0.0, 0usize, 0usize);
-        let mut error_px = Vec::with_capacity(forward.data.len());
-        for (y, row) in forward.data.chunks_exact(width).enumerate() {
-            for (x, &[u, v]) in row.iter().enumerate() {
-                let (to_x, to_y) = (x as f32 + u, y as f32 + v);
-                if !inside(to_x, to_y, width, height) {
-                    error_px.push(None);
-                    continue;
+        let mut error_px = vec![None; self.forward.data.len()];
+        let rows = self.forward.data.chunks_exact(width);
+        for (y, (ahead, out)) in rows.zip(error_px.chunks_exact_mut(width)).enumerate() {
+            row.locate(ahead, y, height);
+            row.gather(self.backward);
+            row.compare(ahead, scale, self.params);
+            let pixels = out
+                .iter_mut()
+                .zip(&row.error)
+                .zip(&row.inside)
+                .zip(&row.apart);
+            for (((out, &error), &inside), &apart) in pixels {
+                if inside {
+                    *out = Some(error);
+                    sum += f64::from(error);
+                    in_frame += 1;
+                    occluded += usize::from(apart);
                 }
-                let [back_u, back_v] = read(backward, to_x, to_y);
-                let ahead = [u * scale, v * scale];
-                let back = [back_u * scale, back_v * scale];
-                let squared = squared_norm([ahead[0] + back[0], ahead[1] + back[1]]);
-                let error = squared.sqrt();
-                in_frame += 1;
-                sum += f64::from(error);
-                occluded += usize::from(squared >= params.tolerance(ahead, back));
-                error_px.push(Some(error));
             }
         }
         let share = |count: f64| (in_frame > 0).then(|| count / in_frame as f64);
-        Ok(Self {
+        EndPointError {
             width,
             height,
             mean_px: share(sum),
             occluded_fraction: share(occluded as f64),
-            in_frame_fraction: in_frame as f64 / forward.data.len() as f64,
+            in_frame_fraction: in_frame as f64 / self.forward.data.len() as f64,
             error_px,
-        })
+        }
     }
+}
+
+/// What is known of one row of pixels, plane by plane; where a pixel leaves the frame, the nearest
+/// point of the frame stands in.
+struct Row {
+    inside: Vec<bool>,
+    /// Column and row of the vector up left of the end point.
+    left: Vec<u32>,
+    top: Vec<u32>,
+    /// Steps to the right and lower vectors: 1, or 0 at the far edges.
+    right: Vec<u32>,
+    below: Vec<u32>,
+    fraction_x: Vec<f32>,
+    fraction_y: Vec<f32>,
+    /// Backward vectors: top left, top right, bottom left, bottom right.
+    around: [Vec<[f32; 2]>; 4],
+    error: Vec<f32>,
+    /// Whether forward and backward flow disagree.
+    apart: Vec<bool>,
+}
+
+impl Row {
+    fn new(width: usize) -> Self {
+        Self {
+            inside: vec![false; width],
+            left: vec![0; width],
+            top: vec![0; width],
+            right: vec![0; width],
+            below: vec![0; width],
+            fraction_x: vec![0.0; width],
+            fraction_y: vec![0.0; width],
+            around: std::array::from_fn(|_| vec![[0.0; 2]; width]),
+            error: vec![0.0; width],
+            apart: vec![false; width],
+        }
+    }
+
+    /// Same arithmetic as [`Bilinear`](crate::image::Bilinear).
+    #[inline(always)]
+    fn locate(&mut self, ahead: &[[f32; 2]], y: usize, height: usize) {
+        let width = ahead.len();
+        let (last_x, last_y) = ((width - 1) as f32, (height - 1) as f32);
+        let y = y as f32;
+        let inside_row = &mut self.inside[..width];
+        let left_row = &mut self.left[..width];
+        let top_row = &mut self.top[..width];
+        let right = &mut self.right[..width];
+        let below = &mut self.below[..width];
+        let (last_column, last_row) = (width as u32 - 1, height as u32 - 1);
+        let fraction_x = &mut self.fraction_x[..width];
+        let fraction_y = &mut self.fraction_y[..width];
+        for x in 0..width {
+            let [u, v] = ahead[x];
+            // Through i32, which converts in one instruction; no frame is 2^31 wide.
+            let (to_x, to_y) = (x as i32 as f32 + u, y + v);
+            inside_row[x] = (to_x >= 0.0) & (to_x <= last_x) & (to_y >= 0.0) & (to_y <= last_y);
+            let (to_x, to_y) = (to_x.max(0.0).min(last_x), to_y.max(0.0).min(last_y));
+            let (left, top) = (to_x.floor(), to_y.floor());
+            left_row[x] = whole(left).min(last_column);
+            top_row[x] = whole(top).min(last_row);
+            right[x] = u32::from(left_row[x] < last_column);
+            below[x] = u32::from(top_row[x] < last_row);
+            fraction_x[x] = to_x - left;
+            fraction_y[x] = to_y - top;
+        }
+    }
+
+    #[inline(always)]
+    fn gather(&mut self, backward: &Flow) {
+        let [a, b, c, d] = &mut self.around;
+        let width = backward.width;
+        let corners = self.left.iter().zip(&self.top);
+        let steps = self.right.iter().zip(&self.below);
+        let around = a.iter_mut().zip(b).zip(c).zip(d);
+        for (((&left, &top), (&right, &below)), (((a, b), c), d)) in corners.zip(steps).zip(around)
+        {
+            let (right, below) = (right as usize, below as usize * width);
+            let from = &backward.data[top as usize * width + left as usize..];
+            *a = from[0];
+            *b = from[right];
+            *c = from[below];
+            *d = from[below + right];
+        }
+    }
+
+    #[inline(always)]
+    fn compare(&mut self, ahead: &[[f32; 2]], scale: f32, params: &ConsistencyParams) {
+        let width = ahead.len();
+        let [a, b, c, d] = &self.around;
+        let (a, b, c, d) = (&a[..width], &b[..width], &c[..width], &d[..width]);
+        let fraction_x = &self.fraction_x[..width];
+        let fraction_y = &self.fraction_y[..width];
+        let error = &mut self.error[..width];
+        let apart = &mut self.apart[..width];
+        for x in 0..width {
+            let (fx, fy) = (fraction_x[x], fraction_y[x]);
+            let back_u = mix([a[x][0], b[x][0], c[x][0], d[x][0]], fx, fy) * scale;
+            let back_v = mix([a[x][1], b[x][1], c[x][1], d[x][1]], fx, fy) * scale;
+            let (u, v) = (ahead[x][0] * scale, ahead[x][1] * scale);
+            let squared = squared_norm([u + back_u, v + back_v]);
+            error[x] = squared.sqrt();
+            apart[x] = squared >= params.tolerance([u, v], [back_u, back_v]);
+        }
+    }
+}
+
+/// The integer that a whole number below 2^23 is; no frame is that wide. Its bits lie in the mantissa
+/// once 2^23 is added, and unlike Rust's saturating casts this is done in whole vectors.
+#[inline(always)]
+fn whole(value: f32) -> u32 {
+    const MANTISSA_BITS: u32 = 23;
+    let shifted = value + (1u32 << MANTISSA_BITS) as f32;
+    shifted.to_bits() & ((1 << MANTISSA_BITS) - 1)
+}
+
+/// Between the top and bottom pairs, then between those.
+#[inline(always)]
+fn mix([a, b, c, d]: [f32; 4], fraction_x: f32, fraction_y: f32) -> f32 {
+    let top = a + fraction_x * (b - a);
+    let bottom = c + fraction_x * (d - c);
+    top + fraction_y * (bottom - top)
+}
+
+/// Whether `check_values` would accept; without branches, so that it is done in whole vectors.
+fn all_plausible(flow: &Flow) -> bool {
+    let plausible =
+        |ok: bool, &[u, v]: &[f32; 2]| ok & (u.abs() <= MAX_FLOW_PX) & (v.abs() <= MAX_FLOW_PX);
+    !flow.data.is_empty()
+        && flow
+            .data
+            .chunks(CHECK_CHUNK)
+            .all(|chunk| chunk.iter().fold(true, plausible))
 }
 
 /// Whether a point lies between the outermost pixel centres.
@@ -80,20 +243,10 @@ pub(super) fn inside(x: f32, y: f32, width: usize, height: usize) -> bool {
     x >= 0.0 && x <= (width - 1) as f32 && y >= 0.0 && y <= (height - 1) as f32
 }
 
-/// The field at a sub-pixel point.
-#[inline]
-fn read(flow: &Flow, x: f32, y: f32) -> [f32; 2] {
-    let at = Bilinear::at(x, y, flow.width, flow.height);
-    let [a, b, c, d] = at.indices.map(|index| flow.data[index]);
-    [
-        at.mix(a[0], b[0], c[0], d[0]),
-        at.mix(a[1], b[1], c[1], d[1]),
-    ]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::Bilinear;
 
     fn constant(width: usize, height: usize, vector: [f32; 2]) -> Flow {
         Flow {
@@ -152,6 +305,66 @@ mod tests {
         for (x, y) in [(0, 0), (17, 200), (254, 254)] {
             let error = measured.error_px[y * 256 + x].unwrap();
             assert!((error - expected(x as f32, y as f32)).abs() < 1e-5);
+        }
+    }
+
+    /// The definition, pixel by pixel.
+    fn twin(forward: &Flow, backward: &Flow, params: &ConsistencyParams) -> EndPointError {
+        let (width, height) = (forward.width, forward.height);
+        let scale = (params.reference_height_px / height as f64) as f32;
+        let (mut sum, mut in_frame, mut occluded) = (0.0, 0usize, 0usize);
+        let mut error_px = Vec::new();
+        for (i, &[u, v]) in forward.data.iter().enumerate() {
+            let (x, y) = ((i % width) as f32 + u, (i / width) as f32 + v);
+            if !inside(x, y, width, height) {
+                error_px.push(None);
+                continue;
+            }
+            let at = Bilinear::at(x, y, width, height);
+            let [a, b, c, d] = at.indices.map(|index| backward.data[index]);
+            let read = |k: usize| at.mix(a[k], b[k], c[k], d[k]) * scale;
+            let (ahead, back) = ([u * scale, v * scale], [read(0), read(1)]);
+            let squared = squared_norm([ahead[0] + back[0], ahead[1] + back[1]]);
+            error_px.push(Some(squared.sqrt()));
+            sum += f64::from(squared.sqrt());
+            in_frame += 1;
+            occluded += usize::from(squared >= params.tolerance(ahead, back));
+        }
+        let share = |count: f64| (in_frame > 0).then(|| count / in_frame as f64);
+        EndPointError {
+            width,
+            height,
+            mean_px: share(sum),
+            occluded_fraction: share(occluded as f64),
+            in_frame_fraction: in_frame as f64 / forward.data.len() as f64,
+            error_px,
+        }
+    }
+
+    #[test]
+    fn row_wise_kernel_equals_the_definition_bit_for_bit() {
+        let params = ConsistencyParams::default();
+        for (width, height) in [(1, 1), (1, 9), (7, 1), (2, 2), (37, 23), (64, 48)] {
+            // Whole and broken vectors, some to the border exactly, some out of the frame.
+            let flow = |seed: usize, step: f32| Flow {
+                width,
+                height,
+                data: (0..width * height)
+                    .map(|i| [7919, 104_729].map(|k| ((i * k + seed) % 23) as f32 * step - 3.0))
+                    .collect(),
+            };
+            for step in [0.25, 0.37, 1.0] {
+                let (ahead, back) = (flow(1, step), flow(5, 0.31));
+                let expected = twin(&ahead, &back, &params);
+                let measured = EndPointError::new(&ahead, &back, &params).unwrap();
+                let plain = Measurement {
+                    forward: &ahead,
+                    backward: &back,
+                    params: &params,
+                };
+                assert_eq!(measured, expected);
+                assert_eq!(plain.run(), expected);
+            }
         }
     }
 

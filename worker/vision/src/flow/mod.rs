@@ -3,12 +3,13 @@
 //! Flows are in pixels of their own grid, `[H, W, 2]`, x (right) then y (down).
 
 pub mod dis;
+pub(crate) mod simd;
 
 use crate::image::ImageError;
 
 /// A dense flow field, `[H, W, 2]` row-major, x then y, in pixels of its own grid: the point at
 /// column `x`, row `y` of the first frame is at `(x + u, y + v)` in the second.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Flow {
     /// Columns.
     pub width: usize,

@@ -6,6 +6,7 @@
 
 use super::params::DisParams;
 use crate::flow::FlowError;
+use crate::flow::simd::{Kernel, dispatch};
 use crate::image::{Plane, resize_plane};
 
 // Grey values lie in 0..=255; bicubic enlargement may overshoot a little. Beyond this bound squared
@@ -90,7 +91,10 @@ impl DisFrame {
             if scale > finest {
                 picture = resize_plane(&picture, picture.width / 2, picture.height / 2);
             }
-            levels.push(Level::new(&picture, params));
+            levels.push(dispatch(NewLevel {
+                picture: &picture,
+                params,
+            }));
         }
         levels.reverse();
         Ok(Self {
@@ -138,7 +142,22 @@ fn patch_starts(length: usize, size: usize, stride: usize) -> Vec<usize> {
     (0..last).step_by(stride).chain([last]).collect()
 }
 
+struct NewLevel<'a> {
+    picture: &'a Plane,
+    params: &'a DisParams,
+}
+
+impl Kernel for NewLevel<'_> {
+    type Output = Level;
+
+    #[inline(always)]
+    fn run(self) -> Level {
+        Level::new(self.picture, self.params)
+    }
+}
+
 impl Level {
+    #[inline(always)]
     fn new(picture: &Plane, params: &DisParams) -> Self {
         let (width, height) = (picture.width, picture.height);
         // A displaced patch may leave the frame but for one pixel, and interpolation reads one more.
@@ -162,7 +181,7 @@ impl Level {
     }
 
     /// The picture's pixels from column `x`, row `y` on.
-    #[inline]
+    #[inline(always)]
     pub(super) fn pixels_at(&self, x: usize, y: usize) -> &[f32] {
         &self.padded[(y + self.border) * self.stride + x + self.border..]
     }
@@ -170,6 +189,7 @@ impl Level {
     /// Sums of gradient products over every patch: along rows first, at the patch columns only, then
     /// down the columns. Patches hold at most 256 terms, so plain f32 sums suffice; the determinant,
     /// a difference of near-equal products, is taken in f64.
+    #[inline(always)]
     fn structure_tensors(&self, size: usize) -> Vec<PatchTensor> {
         let columns = self.patch_columns.len();
         let mut row_sums = vec![[0.0f32; 5]; self.height * columns];
@@ -209,6 +229,7 @@ impl Level {
 
 impl PatchTensor {
     /// From the patch's sums of gx², gx·gy, gy², gx and gy.
+    #[inline(always)]
     pub(super) fn new([xx, xy, yy, x, y]: [f32; 5], pixels: f32) -> Self {
         let [xx, xy, yy] = [xx, xy, yy].map(f64::from);
         let determinant = (xx * yy - xy * xy).max(MIN_DETERMINANT);
@@ -237,6 +258,7 @@ fn pad(picture: &Plane, border: usize) -> (Vec<f32>, usize) {
 }
 
 /// Sobel derivatives divided by eight, so that a ramp of slope 1 gives 1; edge pixels repeat.
+#[inline(always)]
 fn sobel(
     padded: &[f32],
     stride: usize,

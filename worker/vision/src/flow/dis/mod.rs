@@ -1,13 +1,13 @@
 //! Dense Inverse Search optical flow (T. Kroeger, R. Timofte, D. Dai, L. Van Gool, "Fast Optical
-//! Flow using Dense Inverse Search", ECCV 2016), without variational refinement.
+//! Flow using Dense Inverse Search", ECCV 2016), with OpenCV's variational refinement.
 //!
 //! Coarse to fine over an area-filtered pyramid, at each scale: inverse-compositional search of
 //! overlapping patches (`search`), then a dense field as their photometrically weighted mean
-//! (`densify`). Input: grey frames in 0..=255; output: pixels of the full-resolution grid. The
+//! (`densify`), then, where asked for, its variational refinement (`refine`). Input: grey frames in 0..=255; output: pixels of the full-resolution grid. The
 //! conventions (coarsest scale, two sweeps, acceptance rule) follow OpenCV's `DISOpticalFlow`; where
 //! this differs:
 //! - the pyramid stays in floats, not 8 bits;
-//! - vectors propagate over the whole frame, not inside eight stripes;
+//! - vectors may propagate over the whole frame instead of inside eight stripes;
 //! - a last patch row and column touch the far borders, so that every pixel is covered;
 //! - vectors scale between levels by the true size ratio, so odd sizes have no bias.
 //!
@@ -19,12 +19,14 @@ mod densify;
 mod frame;
 mod params;
 mod patch;
+mod refine;
 mod search;
 
 pub use frame::DisFrame;
-pub use params::DisParams;
+pub use params::{DisParams, RefinementParams};
 
-use self::densify::{DenseField, Densifier};
+use self::densify::{DenseField, Densifier, Upsampler};
+use self::refine::Refiner;
 use self::search::Search;
 use super::{Flow, FlowError};
 
@@ -34,7 +36,9 @@ pub struct Dis {
     params: DisParams,
     search: Search,
     densifier: Densifier,
+    refiner: Refiner,
     field: DenseField,
+    upsampler: Upsampler,
 }
 
 impl Dis {
@@ -45,7 +49,9 @@ impl Dis {
             params,
             search: Search::default(),
             densifier: Densifier::default(),
+            refiner: Refiner::default(),
             field: DenseField::default(),
+            upsampler: Upsampler::default(),
         }
     }
 
@@ -55,6 +61,22 @@ impl Dis {
     /// [`FlowError::SizeMismatch`] when the frames differ in size, [`FlowError::ParamsMismatch`] when
     /// one was prepared with other parameters.
     pub fn flow(&mut self, first: &DisFrame, second: &DisFrame) -> Result<Flow, FlowError> {
+        let mut flow = Flow::default();
+        self.flow_into(first, second, &mut flow)?;
+        Ok(flow)
+    }
+
+    /// As [`flow`](Self::flow), into a field that is resized where needed: with frames of one size
+    /// nothing is allocated after the first pair.
+    ///
+    /// # Errors
+    /// As [`flow`](Self::flow); `flow` is unchanged then.
+    pub fn flow_into(
+        &mut self,
+        first: &DisFrame,
+        second: &DisFrame,
+        flow: &mut Flow,
+    ) -> Result<(), FlowError> {
         if first.size() != second.size() {
             return Err(FlowError::SizeMismatch {
                 first: first.size(),
@@ -70,9 +92,17 @@ impl Dis {
             self.search.run(a, b, &self.params);
             self.densifier
                 .densify(self.search.vectors(), a, b, &self.params, &mut self.field);
+            self.refiner.refine(
+                &mut self.field,
+                a,
+                b,
+                self.params.refinement_iterations,
+                &self.params.refinement,
+            );
         }
         let (width, height) = first.size();
-        Ok(self.field.upsample(width, height))
+        self.upsampler.upsample(&self.field, width, height, flow);
+        Ok(())
     }
 }
 

@@ -15,7 +15,7 @@ pub(super) struct Placement {
 impl Placement {
     /// The patch at `(x, y)` moved by `vector`, kept where at least one of its pixels touches the
     /// frame; beyond that the repeated border would look the same everywhere.
-    #[inline]
+    #[inline(always)]
     pub(super) fn new(level: &Level, x: usize, y: usize, vector: [f32; 2], size: usize) -> Self {
         let border = level.border as f32;
         let low = border - size as f32 + 1.0;
@@ -44,26 +44,45 @@ pub(super) struct Comparison {
     pub(super) descent: [f32; 2],
 }
 
-/// The interpolated difference second − first, row by row, handed to `row(index, differences)`.
-#[inline(always)]
-fn differences<const P: usize>(
-    first: &[f32],
-    second: &Level,
-    at: Placement,
-    mut row: impl FnMut(usize, [f32; P]),
-) {
-    let stride = second.stride;
-    let pixels = &second.padded[at.offset..];
-    let mut upper = interpolate_row::<P>(pixels, at.fraction_x);
-    for y in 0..P {
-        let lower = interpolate_row::<P>(&pixels[(y + 1) * stride..], at.fraction_x);
-        let reference = &first[y * stride..][..P];
+/// The interpolated difference second − first, row by row from the top.
+///
+/// No closures here: one that the compiler does not inline keeps the baseline's instructions.
+pub(super) struct Differences<'a, const P: usize> {
+    first: &'a [f32],
+    pixels: &'a [f32],
+    stride: usize,
+    fraction_x: f32,
+    fraction_y: f32,
+    upper: [f32; P],
+}
+
+impl<'a, const P: usize> Differences<'a, P> {
+    /// `first` starts at the patch's first pixel, in rows as long as `second`'s.
+    #[inline(always)]
+    pub(super) fn new(first: &'a [f32], second: &'a Level, at: Placement) -> Self {
+        let pixels = &second.padded[at.offset..];
+        Self {
+            first,
+            pixels,
+            stride: second.stride,
+            fraction_x: at.fraction_x,
+            fraction_y: at.fraction_y,
+            upper: interpolate_row::<P>(pixels, at.fraction_x),
+        }
+    }
+
+    /// Row `y`; rows are asked for in order.
+    #[inline(always)]
+    pub(super) fn row(&mut self, y: usize) -> [f32; P] {
+        let lower = interpolate_row::<P>(&self.pixels[(y + 1) * self.stride..], self.fraction_x);
+        let reference = &self.first[y * self.stride..][..P];
         let mut difference = [0.0; P];
         for k in 0..P {
-            difference[k] = upper[k] + at.fraction_y * (lower[k] - upper[k]) - reference[k];
+            difference[k] = self.upper[k] + self.fraction_y * (lower[k] - self.upper[k]);
+            difference[k] -= reference[k];
         }
-        row(y, difference);
-        upper = lower;
+        self.upper = lower;
+        difference
     }
 }
 
@@ -77,22 +96,29 @@ fn interpolate_row<const P: usize>(pixels: &[f32], fraction: f32) -> [f32; P] {
     row
 }
 
-/// Sums the lanes pairwise, halving each time; an odd middle lane is carried.
-#[inline(always)]
-fn reduce<const P: usize>(mut lanes: [f32; P]) -> f32 {
-    let mut count = P;
-    while count > 1 {
-        let half = count.div_ceil(2);
-        for k in 0..count - half {
-            lanes[k] += lanes[k + half];
+/// Sums the lanes of each row pairwise, halving each time; an odd middle lane is carried.
+///
+/// Never inlined: that keeps the rows whole vectors, where otherwise the compiler takes the halving
+/// as a reason to compute everything before it in pairs.
+#[inline(never)]
+fn reduce<const P: usize, const N: usize>(rows: &mut [[f32; P]; N]) -> [f32; N] {
+    let mut sums = [0.0; N];
+    for (sum, lanes) in sums.iter_mut().zip(rows) {
+        let mut count = P;
+        while count > 1 {
+            let half = count.div_ceil(2);
+            for k in 0..count - half {
+                lanes[k] += lanes[k + half];
+            }
+            count = half;
         }
-        count = half;
+        *sum = lanes[0];
     }
-    lanes[0]
+    sums
 }
 
 /// Squared distance alone, for choosing among starting points.
-#[inline]
+#[inline(always)]
 pub(super) fn distance<const P: usize>(
     first: &[f32],
     second: &Level,
@@ -101,13 +127,15 @@ pub(super) fn distance<const P: usize>(
 ) -> f32 {
     let mut sum = [0.0; P];
     let mut square = [0.0; P];
-    differences::<P>(first, second, at, |_, difference| {
+    let mut differences = Differences::<P>::new(first, second, at);
+    for y in 0..P {
+        let difference = differences.row(y);
         for k in 0..P {
             sum[k] += difference[k];
             square[k] += difference[k] * difference[k];
         }
-    });
-    let (sum, square) = (reduce(sum), reduce(square));
+    }
+    let [sum, square] = reduce(&mut [sum, square]);
     if mean_normalisation {
         square - sum * sum / (P * P) as f32
     } else {
@@ -116,7 +144,7 @@ pub(super) fn distance<const P: usize>(
 }
 
 /// Squared distance and gradient-weighted difference, for one search step.
-#[inline]
+#[inline(always)]
 pub(super) fn compare<const P: usize>(
     first: &[f32],
     second: &Level,
@@ -130,7 +158,9 @@ pub(super) fn compare<const P: usize>(
     let mut square = [0.0; P];
     let mut along_x = [0.0; P];
     let mut along_y = [0.0; P];
-    differences::<P>(first, second, at, |y, difference| {
+    let mut differences = Differences::<P>::new(first, second, at);
+    for y in 0..P {
+        let difference = differences.row(y);
         let gx = &gradient_x[y * width..][..P];
         let gy = &gradient_y[y * width..][..P];
         for k in 0..P {
@@ -139,9 +169,8 @@ pub(super) fn compare<const P: usize>(
             along_x[k] += difference[k] * gx[k];
             along_y[k] += difference[k] * gy[k];
         }
-    });
-    let (sum, square) = (reduce(sum), reduce(square));
-    let (along_x, along_y) = (reduce(along_x), reduce(along_y));
+    }
+    let [sum, square, along_x, along_y] = reduce(&mut [sum, square, along_x, along_y]);
     if mean_normalisation {
         Comparison {
             distance: square - sum * sum / (P * P) as f32,
@@ -153,17 +182,4 @@ pub(super) fn compare<const P: usize>(
             descent: [along_x, along_y],
         }
     }
-}
-
-/// Weight of every patch pixel in the dense field, 1 / max(1, |difference|), row by row.
-#[inline(always)]
-pub(super) fn weights<const P: usize>(
-    first: &[f32],
-    second: &Level,
-    at: Placement,
-    mut row: impl FnMut(usize, [f32; P]),
-) {
-    differences::<P>(first, second, at, |y, difference| {
-        row(y, difference.map(|d| 1.0 / d.abs().max(1.0)));
-    });
 }

@@ -3,13 +3,14 @@
 //!
 //! The gradient and its structure tensor belong to the first frame, so an iteration costs one
 //! interpolated difference. Two sweeps, forwards and backwards, each trying the vectors of the two
-//! neighbours visited before. A patch keeps its starting vector when the search ends further away
+//! neighbours visited before in its stripe. A patch keeps its starting vector when the search ends further away
 //! than a patch size: it has slid off along an edge or over flat ground.
 
 use super::densify::DenseField;
 use super::frame::Level;
 use super::params::DisParams;
 use super::patch::{Comparison, Placement, compare, distance};
+use crate::flow::simd::{Kernel, dispatch};
 
 /// The sparse field, one vector per patch, row-major.
 #[derive(Debug, Clone, Default)]
@@ -39,19 +40,20 @@ impl Search {
     }
 
     pub(super) fn run(&mut self, first: &Level, second: &Level, params: &DisParams) {
-        match params.patch_size {
-            4 => self.run_sized::<4>(first, second, params),
-            12 => self.run_sized::<12>(first, second, params),
-            16 => self.run_sized::<16>(first, second, params),
-            // `DisParams::validate` admits no other size.
-            _ => self.run_sized::<8>(first, second, params),
-        }
+        dispatch(Sweeps {
+            search: self,
+            first,
+            second,
+            params,
+        });
     }
 
+    #[inline(always)]
     fn run_sized<const P: usize>(&mut self, first: &Level, second: &Level, params: &DisParams) {
         let columns = first.patch_columns.len();
         let rows = first.patch_rows.len();
         let iterations = params.gradient_descent_iterations / params.sweeps();
+        let stripe_rows = rows.div_ceil(params.propagation_stripes);
         for sweep in 0..params.sweeps() {
             let backwards = sweep % 2 == 1;
             for step in 0..rows * columns {
@@ -64,12 +66,13 @@ impl Search {
                 let neighbours = if backwards {
                     [
                         (column + 1 < columns).then_some(index + 1),
-                        (row + 1 < rows).then_some(index + columns),
+                        (row + 1 < rows && !(row + 1).is_multiple_of(stripe_rows))
+                            .then_some(index + columns),
                     ]
                 } else {
                     [
                         (column > 0).then(|| index - 1),
-                        (row > 0).then(|| index - columns),
+                        (!row.is_multiple_of(stripe_rows)).then(|| index - columns),
                     ]
                 };
                 let patch = Patch::<P> {
@@ -90,6 +93,34 @@ impl Search {
     }
 }
 
+struct Sweeps<'a> {
+    search: &'a mut Search,
+    first: &'a Level,
+    second: &'a Level,
+    params: &'a DisParams,
+}
+
+impl Kernel for Sweeps<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self {
+            search,
+            first,
+            second,
+            params,
+        } = self;
+        match params.patch_size {
+            4 => search.run_sized::<4>(first, second, params),
+            12 => search.run_sized::<12>(first, second, params),
+            16 => search.run_sized::<16>(first, second, params),
+            // `DisParams::validate` admits no other size.
+            _ => search.run_sized::<8>(first, second, params),
+        }
+    }
+}
+
 /// One patch of the first frame.
 struct Patch<'a, const P: usize> {
     first: &'a Level,
@@ -102,7 +133,7 @@ struct Patch<'a, const P: usize> {
 
 impl<const P: usize> Patch<'_, P> {
     /// The displacement found from the best of `start` and the neighbours' vectors.
-    #[inline]
+    #[inline(always)]
     fn search(
         &self,
         start: [f32; 2],
@@ -138,7 +169,7 @@ impl<const P: usize> Patch<'_, P> {
     }
 
     /// Iterates until the distance stops falling. `comparison` is the one at `start`.
-    #[inline]
+    #[inline(always)]
     fn descend(&self, start: [f32; 2], mut comparison: Comparison, iterations: usize) -> [f32; 2] {
         let tensor = &self.first.tensors[self.index];
         let step_length = self.params.step_length;
@@ -159,12 +190,12 @@ impl<const P: usize> Patch<'_, P> {
         vector
     }
 
-    #[inline]
+    #[inline(always)]
     fn place(&self, vector: [f32; 2]) -> Placement {
         Placement::new(self.second, self.x, self.y, vector, P)
     }
 
-    #[inline]
+    #[inline(always)]
     fn distance(&self, vector: [f32; 2]) -> f32 {
         distance::<P>(
             self.first.pixels_at(self.x, self.y),
@@ -174,7 +205,7 @@ impl<const P: usize> Patch<'_, P> {
         )
     }
 
-    #[inline]
+    #[inline(always)]
     fn compare(&self, vector: [f32; 2]) -> Comparison {
         let start = self.y * self.first.width + self.x;
         compare::<P>(

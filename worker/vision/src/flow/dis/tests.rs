@@ -1,10 +1,12 @@
 //! The search and the densification against slow, obvious twins, and the whole method on known motion
 //! and on degenerate frames.
 
-use super::densify::{DenseField, Densifier};
+use super::densify::{DenseField, Densifier, Upsampler};
 use super::frame::{Level, coarsest_scale};
+use super::patch::{Comparison, Placement, compare};
 use super::search::Search;
-use super::{Dis, DisFrame, DisParams};
+use super::{Dis, DisFrame, DisParams, RefinementParams};
+use crate::flow::simd::{Kernel, dispatch};
 use crate::flow::{Flow, FlowError};
 use crate::image::Plane;
 
@@ -160,6 +162,7 @@ fn twin_search(
     } else {
         &[1]
     };
+    let stripe = |row: i64| row / (rows.div_ceil(params.propagation_stripes) as i64);
     for &direction in sweeps {
         let order: Vec<usize> = if direction > 0 {
             (0..rows * columns).collect()
@@ -176,7 +179,11 @@ fn twin_search(
             let mut best = field[index];
             if params.spatial_propagation {
                 for (r, c) in [(row, column - direction), (row - direction, column)] {
-                    let exists = r >= 0 && r < rows as i64 && c >= 0 && c < columns as i64;
+                    let exists = r >= 0
+                        && r < rows as i64
+                        && c >= 0
+                        && c < columns as i64
+                        && stripe(r) == stripe(row);
                     if exists {
                         let candidate = field[(r * columns as i64 + c) as usize];
                         if compare(candidate).0 < compare(best).0 {
@@ -268,6 +275,85 @@ fn search_and_densification_match_their_twins() {
     }
 }
 
+/// One patch comparison in plain f32 scalars, in the order that `patch` states: columns down the
+/// rows, then halves of the columns added pairwise.
+fn scalar_compare(
+    first: &Level,
+    second: &Level,
+    (x, y): (usize, usize),
+    at: [f32; 2],
+) -> Comparison {
+    const P: usize = 8;
+    let border = second.border as f32;
+    let (column, row) = (x as f32 + at[0] + border, y as f32 + at[1] + border);
+    let (left, top) = (column as usize, row as usize);
+    let (a, b) = (column - left as f32, row - top as f32);
+    let value = |c: usize, r: usize| second.padded[r * second.stride + c];
+    let along = |c: usize, r: usize| value(c, r) + a * (value(c + 1, r) - value(c, r));
+    let mut sums = [[0.0f32; P]; 4];
+    for r in 0..P {
+        for c in 0..P {
+            let (upper, lower) = (along(left + c, top + r), along(left + c, top + r + 1));
+            let reference = first.pixels_at(x + c, y + r)[0];
+            let d = upper + b * (lower - upper) - reference;
+            let pixel = (y + r) * first.width + x + c;
+            let terms = [
+                d,
+                d * d,
+                d * first.gradient_x[pixel],
+                d * first.gradient_y[pixel],
+            ];
+            for (sum, term) in sums.iter_mut().zip(terms) {
+                sum[c] += term;
+            }
+        }
+    }
+    let [sum, square, gx, gy] =
+        sums.map(|s| ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7])));
+    let index = first.patch_columns.len() * (y / 4) + x / 4;
+    let tensor = &first.tensors[index];
+    Comparison {
+        distance: square - sum * sum / 64.0,
+        descent: [gx - sum * tensor.mean_x, gy - sum * tensor.mean_y],
+    }
+}
+
+#[test]
+fn patch_comparison_equals_plain_scalars_bit_for_bit() {
+    struct Compare<'a>(&'a Level, &'a Level, (usize, usize), [f32; 2]);
+    impl Kernel for Compare<'_> {
+        type Output = Comparison;
+
+        #[inline(always)]
+        fn run(self) -> Comparison {
+            let Self(first, second, (x, y), at) = self;
+            let start = y * first.width + x;
+            compare::<8>(
+                first.pixels_at(x, y),
+                second,
+                Placement::new(second, x, y, at, 8),
+                [&first.gradient_x[start..], &first.gradient_y[start..]],
+                &first.tensors[first.patch_columns.len() * (y / 4) + x / 4],
+                true,
+            )
+        }
+    }
+    let params = DisParams::ultrafast(0);
+    let level = |u, v| {
+        let frame = DisFrame::new(&texture(44, 40, u, v), &params).unwrap();
+        frame.levels().last().unwrap().clone()
+    };
+    let (a, b) = (level(0.0, 0.0), level(1.3, -0.7));
+    for y in (0..32).step_by(4) {
+        for x in (0..36).step_by(4) {
+            let at = [0.37 * (x % 7) as f32 - 1.0, 0.83 - 0.21 * (y % 5) as f32];
+            let expected = scalar_compare(&a, &b, (x, y), at);
+            assert_eq!(dispatch(Compare(&a, &b, (x, y), at)), expected);
+            assert_eq!(Compare(&a, &b, (x, y), at).run(), expected);
+        }
+    }
+}
+
 #[test]
 fn lookup_at_patch_centres_equals_the_upsampled_field() {
     let field = DenseField {
@@ -276,7 +362,8 @@ fn lookup_at_patch_centres_equals_the_upsampled_field() {
         u: (0..20).map(|i| (i * 7 % 11) as f32).collect(),
         v: (0..20).map(|i| (i * 5 % 13) as f32).collect(),
     };
-    let big = field.upsample(11, 9);
+    let mut big = Flow::default();
+    Upsampler::default().upsample(&field, 11, 9, &mut big);
     for y in 0..9 {
         for x in 0..11 {
             let one = field.sample_scaled(x, y, 11, 9);
@@ -403,6 +490,40 @@ fn repeated_runs_and_reused_buffers_give_the_same_bits() {
     assert_eq!(dis.flow(&frames[0], &frames[1]).unwrap(), fresh);
 }
 
+/// FNV-1a over the bit patterns of a flow.
+fn fingerprint(flow: &Flow) -> u64 {
+    let bytes = flow.data.iter().flatten().flat_map(|c| c.to_le_bytes());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
+}
+
+/// The bits of the first version, found on x86-64 without AVX: neither a faster kernel nor another
+/// instruction set may change them.
+#[test]
+fn bits_never_change() {
+    let plain = DisParams {
+        mean_normalisation: false,
+        spatial_propagation: false,
+        patch_size: 12,
+        ..DisParams::ultrafast(0)
+    };
+    let cases = [
+        (DisParams::ultrafast(0), 0x283a_1328_c0cb_e713),
+        (DisParams::ultrafast(1), 0xbfa4_2a07_3e55_18f2),
+        (DisParams::ultrafast(2), 0xdcbb_798e_9c76_193a),
+        (plain, 0x4270_1880_8959_b771),
+    ];
+    for (params, expected) in cases {
+        let flow = solve(
+            &texture(157, 118, 0.0, 0.0),
+            &texture(157, 118, 2.3, -1.6),
+            &params,
+        );
+        assert_eq!(fingerprint(&flow), expected, "{params:?}");
+    }
+}
+
 #[test]
 fn bad_input_is_a_typed_error() {
     let params = DisParams::default();
@@ -460,6 +581,24 @@ fn bad_input_is_a_typed_error() {
         },
         DisParams {
             finest_scale: 99,
+            ..params.clone()
+        },
+        DisParams {
+            propagation_stripes: 0,
+            ..params.clone()
+        },
+        DisParams {
+            refinement: RefinementParams {
+                relaxation: 2.0,
+                ..RefinementParams::default()
+            },
+            ..params.clone()
+        },
+        DisParams {
+            refinement: RefinementParams {
+                epsilon: f32::NAN,
+                ..RefinementParams::default()
+            },
             ..params.clone()
         },
     ];
