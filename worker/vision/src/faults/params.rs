@@ -26,6 +26,10 @@ pub struct FaultParams {
     pub step_radius_cells: usize,
     /// Radius of the box mean of the appearance residual for `flicker`, cells.
     pub persistence_radius_cells: usize,
+    /// Radius of the box mean of the flow for `flicker`, cells.
+    pub drift_radius_cells: usize,
+    /// Mean drift at which `flicker` keeps 1/e of its weight, reference pixels per pair.
+    pub drift_scale_px: f32,
     /// Radius of the box in which `vanish` measures the deviation of grey levels, cells.
     pub texture_radius_cells: usize,
     /// Added to that deviation before its logarithm, grey levels.
@@ -48,6 +52,8 @@ impl Default for FaultParams {
             bounds_share: 0.5,
             step_radius_cells: 1,
             persistence_radius_cells: 2,
+            drift_radius_cells: 4,
+            drift_scale_px: 1.0,
             texture_radius_cells: 3,
             texture_offset: 2.0,
             quiet_speed_px: 0.8,
@@ -68,6 +74,7 @@ impl FaultParams {
             ("bounds_share", f64::from(self.bounds_share)),
             ("texture_offset", f64::from(self.texture_offset)),
             ("quiet_scale", f64::from(self.quiet_scale)),
+            ("drift_scale_px", f64::from(self.drift_scale_px)),
             ("freeze_pairs", self.freeze_pairs as f64),
         ];
         for (name, value) in positive {

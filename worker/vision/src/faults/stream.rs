@@ -59,6 +59,7 @@ struct PairPlanes {
     backward_change: Plane,
     residual: Plane,
     unquiet: Plane,
+    drift_px: [Plane; 2],
 }
 
 impl FaultStream {
@@ -175,7 +176,8 @@ impl FaultStream {
             return;
         };
         let residuals = std::array::from_fn(|k| &self.pairs[start + k].residual);
-        let map = maps::flicker(residuals);
+        let drifts = std::array::from_fn(|k| &self.pairs[start + k].drift_px);
+        let map = maps::flicker(residuals, drifts, &self.params);
         self.add_peak(FaultKind::Flicker, frame - FLICKER_DELAY, map);
     }
 
@@ -224,6 +226,7 @@ impl FaultStream {
             backward_change: pair.backward_change.clone(),
             residual: maps::residual(&pair.forward, &self.params),
             unquiet: maps::unquiet(&pair.forward, &self.params),
+            drift_px: maps::drift_px(&pair.forward, &self.params),
         });
     }
 

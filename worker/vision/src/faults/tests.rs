@@ -265,6 +265,38 @@ fn transition_maps_equal_their_definitions() {
 }
 
 #[test]
+fn what_drifts_does_not_flicker() {
+    let params = FaultParams::default();
+    let residual = Plane::from_fn(4, 3, |x, y| (x + y) as f32 / 2.0);
+    let mut low = residual.clone();
+    low.data[5] = 0.25;
+    let drift = |vector: [f32; 2]| vector.map(|v| Plane::from_fn(4, 3, |_, _| v));
+    let residuals = [&residual, &low, &residual, &residual];
+    // To and fro: the mean drift is zero.
+    let (to, fro) = (drift([3.0, -2.0]), drift([-3.0, 2.0]));
+    let boiling = maps::flicker(residuals, [&to, &fro, &to, &fro], &params);
+    assert_eq!(boiling, low);
+    // 3, 4 on two of four pairs: a mean drift of 2.5 px.
+    let (go, stay) = (drift([3.0, 4.0]), drift([0.0, 0.0]));
+    let moving = maps::flicker(residuals, [&go, &go, &stay, &stay], &params);
+    for (moving, boiling) in moving.data.iter().zip(&boiling.data) {
+        let expected = f64::from(*boiling) * libm::exp(-2.5);
+        assert!((f64::from(*moving) - expected).abs() < 1e-7);
+    }
+    // A camera that pans by 5 px while one corner of the picture keeps its place.
+    let still = picture(ground);
+    let mut pan = pair(&still, &still, [5.0, 0.0]).forward;
+    for cell in 0..40 * SIDE {
+        if cell % SIDE < 40 {
+            pan.flow_px[cell] = [0.0; 2];
+        }
+    }
+    let [x, y] = maps::drift_px(&pan, &params);
+    assert_eq!((x.data[0], x.data[SIDE * SIDE - 1]), (-5.0, 0.0));
+    assert!(y.data.iter().all(|&v| v == 0.0));
+}
+
+#[test]
 fn texture_equals_the_plain_deviation_also_on_bright_flats() {
     let params = FaultParams::default();
     let bright = NormalisedFrame {
