@@ -45,7 +45,7 @@ pub enum ThresholdError {
 impl FaultThresholds {
     /// Of the profile `draft` (128 px high, DIS finest scale 2, adjacent pairs only), rendered clips.
     ///
-    /// This and `STANDARD`: the 99th percentile over the clean clips of the rendered sample, seeds 1 to
+    /// This, `STANDARD` and `ACCURATE`: the 99th percentile over the clean clips of the rendered sample, seeds 1 to
     /// 6, 72 clips of 32 frames at 256×192 (48 with a static camera), as
     /// `examples/fit_fault_thresholds.rs` prints them, upwards to three digits. For rendered clips
     /// only: of 61 recorded clips 90% are above `vanish`, 56% above `bad_frame`, 46% above `appear`.
@@ -65,6 +65,16 @@ impl FaultThresholds {
         appear: Some(0.477),
         vanish: Some(0.0369),
         flicker: Some(0.259),
+        freeze: Some(1.0 - FREEZE_SHARE),
+    };
+
+    /// Of the profile `accurate` (512 px high, DIS finest scale 0), rendered clips.
+    pub const ACCURATE: Self = Self {
+        bad_frame: Some(0.0167),
+        jump: Some(0.00683),
+        appear: Some(0.482),
+        vanish: Some(0.0625),
+        flicker: Some(0.148),
         freeze: Some(1.0 - FREEZE_SHARE),
     };
 
