@@ -27,7 +27,7 @@ pub(super) fn section(rows: &[Row]) -> Section {
             html! {
                 p.lead {
                     (text::length(faulty.len())) " of " (text::length(judged))
-                    " videos have a frame that breaks, whatever their score. Thresholds were fitted on rendered clips: check a few before you rely on them."
+                    " videos have a frame that breaks, whatever their score. Thresholds were fitted on recorded clips of other cameras: check a few before you rely on them."
                 }
                 div.scroll.tall tabindex="0" role="region" aria-label="Videos with faults" {
                     table.numbers.dense {

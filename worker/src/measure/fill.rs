@@ -64,10 +64,13 @@ pub(super) fn geometric(row: &mut Measurement, geometry: &ClipGeometry, warmup_f
 
 /// Fills in faults, contact and the signals on steps of constant visual motion.
 pub(super) fn observed(row: &mut Measurement, observed: &Observed) {
-    let faults = observed.events.iter();
-    row.fault_frames = Some(faults.clone().map(|event| event.frame as u32).collect());
-    row.fault_kinds = Some(faults.map(|event| event.kind.as_str().to_owned()).collect());
-    row.peak_frame = observed.events.first().map(|event| event.frame as u32);
+    if let Some(events) = &observed.events {
+        let frames = events.iter().map(|event| event.frame as u32);
+        let kinds = events.iter().map(|event| event.kind.as_str().to_owned());
+        row.peak_frame = frames.clone().next();
+        row.fault_frames = Some(frames.collect());
+        row.fault_kinds = Some(kinds.collect());
+    }
     row.contact = observed.contact.map(|contact| contact.score());
     row.layer_acceleration = observed.arc.layer_acceleration;
     row.interior_shear = observed.arc.interior_shear;

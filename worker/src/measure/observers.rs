@@ -23,8 +23,8 @@ pub(super) struct Observers {
 
 /// What they saw.
 pub(super) struct Observed {
-    /// Faults, the most severe first.
-    pub(super) events: Vec<FaultEvent>,
+    /// Faults, the most severe first; `None` where the profile is not calibrated for any.
+    pub(super) events: Option<Vec<FaultEvent>>,
     /// U·R_c, where the camera stands still.
     pub(super) contact: Option<Contact>,
     /// accs, Sd and sh.
@@ -92,8 +92,10 @@ impl Observers {
 
     /// What they saw of the whole clip.
     pub(super) fn finish(self, static_camera: bool) -> Observed {
+        let series = self.faults.finish(static_camera);
+        let calibrated = self.thresholds != FaultThresholds::UNCALIBRATED;
         Observed {
-            events: self.faults.finish(static_camera).events(&self.thresholds),
+            events: calibrated.then(|| series.events(&self.thresholds)),
             contact: self.contact.finish().filter(|_| static_camera),
             arc: self.arc.finish(),
         }
