@@ -116,7 +116,7 @@ fn card(scored: &Scored<'_>, axis: Axis, thumbnails: Option<Thumbnails>) -> Mark
                 (fact("z shear", text::signed(row.z_interior_shear)))
                 (fact("z detail", text::signed(row.z_detail_change)))
                 (fact("motion, px", text::magnitude(measured.motion_px)))
-                (fact("peak frame", peak))
+                (fact("paper’s peak", peak))
             }
             @if let Some(faults) = faults::told(measured, FAULTS) { p.faults { b { "Faults " } (faults) } }
             (sparkline(measured))
