@@ -99,6 +99,8 @@ proptest! {
         turn in proptest::array::uniform3(-0.05..0.05f64), t in proptest::array::uniform3(-0.2..0.2f64), seed in 0..1000u64,
     ) {
         prop_assume!(t[0].abs() + t[1].abs() > 0.1);
+        // Less than about 5 px of rotation is, with reason, called static.
+        prop_assume!(turn.iter().map(|angle| angle.abs()).sum::<f64>() > 0.02);
         for (camera, model) in [
             (Camera { turn, translation: [0.0; 3] }, MotionModel::Homography),
             (Camera { turn, translation: t }, MotionModel::Rigid),
@@ -113,7 +115,9 @@ proptest! {
             // about 0.5% of the outliers, which bend the estimate within their own tolerance.
             let bound = if model == MotionModel::Homography { 0.05 } else { 0.5 };
             prop_assert!(worst < bound, "{:?} {}", model, worst);
-            prop_assert!((0.67..0.78).contains(&fit.inlier_fraction));
+            // All the true points, and at most a few outliers that fell near their place or line.
+            let kept = thrown.iter().filter(|&&thrown| !thrown).count() as f64 / thrown.len() as f64;
+            prop_assert!((kept - 1e-9..kept + 0.05).contains(&fit.inlier_fraction), "{kept} {}", fit.inlier_fraction);
         }
     }
 
