@@ -23,7 +23,7 @@ use crate::publish::{
     self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError,
 };
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
-use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput, Thumbnails};
+use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
 use lease::Lease;
 
 /// Where a run keeps what it needs to resume, below OUT.
@@ -192,8 +192,9 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     let finishing = {
         let options = options.clone();
         tokio::task::spawn_blocking(move || -> Result<_, RunError> {
-            let reduced = reduce::reduce(collected(&entries, &journal)?, &options.reduce);
-            let files = publish_run(&options, &out, &entries, &journal, &reduced)?;
+            let (videos, costs) = collected(&entries, &journal)?;
+            let reduced = reduce::reduce(videos, &options.reduce);
+            let files = publish_run(&options, &out, &entries, &journal, &costs, &reduced)?;
             Ok((reduced, files))
         })
     };
@@ -277,23 +278,35 @@ fn job(entry: &Entry, profile: &[u8]) -> Option<Job> {
     })
 }
 
-/// Every entry with its measurement, in the corpus' order: nothing is lost.
-fn collected(entries: &[Entry], journal: &Journal) -> Result<Vec<MeasuredVideo>, JournalError> {
-    entries
-        .iter()
-        .map(|entry| {
-            let measurement = match journal.read(&entry.video)? {
-                Some(record) => record.outcome.measurement,
-                None => unreadable(entry),
-            };
-            Ok(MeasuredVideo {
-                video: entry.video.clone(),
-                group: entry.group.clone(),
-                carried: entry.carried.clone(),
-                measurement,
-            })
-        })
-        .collect()
+/// Every entry with its measurement, in the corpus' order, so that nothing is lost; and what each
+/// measurement cost.
+fn collected(
+    entries: &[Entry],
+    journal: &Journal,
+) -> Result<(Vec<MeasuredVideo>, Vec<CostRow>), JournalError> {
+    let mut videos = Vec::with_capacity(entries.len());
+    let mut costs = Vec::with_capacity(entries.len());
+    for entry in entries {
+        let measurement = match journal.read(&entry.video)? {
+            Some(record) => {
+                costs.push(CostRow {
+                    video: entry.video.clone(),
+                    cost: record.outcome.cost,
+                    attempts: record.attempts,
+                    worker: EMBEDDED_WORKER.to_owned(),
+                });
+                record.outcome.measurement
+            }
+            None => unreadable(entry),
+        };
+        videos.push(MeasuredVideo {
+            video: entry.video.clone(),
+            group: entry.group.clone(),
+            carried: entry.carried.clone(),
+            measurement,
+        });
+    }
+    Ok((videos, costs))
 }
 
 fn unreadable(entry: &Entry) -> Measurement {
@@ -312,6 +325,7 @@ fn publish_run(
     out: &OutDir,
     entries: &[Entry],
     journal: &Journal,
+    costs: &[CostRow],
     reduced: &Reduced,
 ) -> Result<Vec<String>, RunError> {
     let parameters = serde_json::to_value(&options.profile).map_err(RunError::Profile)?;
@@ -330,44 +344,25 @@ fn publish_run(
         .iter()
         .map(|entry| entry.path().to_string_lossy().into_owned())
         .collect();
-    let costs = entries
-        .iter()
-        .filter_map(|entry| cost_row(entry, journal).transpose());
-    let costs: Vec<CostRow> = costs.collect::<Result<_, _>>()?;
-    let thumbnails = |video: &VideoId| {
-        let pictures = journal.read(video).ok()??.outcome.thumbnails?;
-        Some(Thumbnails {
-            frame_jpeg: pictures.frame_jpeg,
-            heat_jpeg: Some(pictures.heat_jpeg),
-        })
-    };
+    let thumbnails = |video: &VideoId| journal.read(video).ok()??.outcome.thumbnails;
     let report = report::render(&ReportInput {
         title: &options.sources.join(", "),
         corpus: &corpus,
         rows: &reduced.rows,
         thumbnails: &thumbnails,
-        costs: Some(CostSummary::of(&costs)),
+        costs: Some(CostSummary::of(costs)),
         options: &options.told(),
         ranked: DEFAULT_RANKED,
     });
     let publication = Publication {
         rows: &reduced.rows,
         locations: &locations,
-        costs: &costs,
+        costs,
         rewards: &reduced.rewards,
         report_html: Some(&report),
         corpus: &corpus,
     };
     Ok(publish::publish(out, &publication, &options.formats)?)
-}
-
-fn cost_row(entry: &Entry, journal: &Journal) -> Result<Option<CostRow>, JournalError> {
-    Ok(journal.read(&entry.video)?.map(|record| CostRow {
-        video: entry.video.clone(),
-        cost: record.outcome.cost,
-        attempts: record.attempts,
-        worker: EMBEDDED_WORKER.to_owned(),
-    }))
 }
 
 /// The frozen list beside the journal, for a person who asks what a run was about.

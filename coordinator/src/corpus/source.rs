@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
 
 use globset::GlobBuilder;
+use plumbline_common::file_time::modified_ns;
 use plumbline_common::id::VideoId;
 use plumbline_common::message::Location;
 use plumbline_worker::decode::{image_files, is_image_sequence};
@@ -333,11 +333,7 @@ fn size_and_time(path: &Path) -> Result<(u64, i128), String> {
     if !metadata.is_file() {
         return Err("not a regular file".into());
     }
-    let modified = metadata.modified().map_err(|error| error.to_string())?;
-    let modified_ns = match modified.duration_since(UNIX_EPOCH) {
-        Ok(after) => after.as_nanos() as i128,
-        Err(before) => -(before.duration().as_nanos() as i128),
-    };
+    let modified_ns = modified_ns(&metadata).map_err(|error| error.to_string())?;
     Ok((metadata.len(), modified_ns))
 }
 

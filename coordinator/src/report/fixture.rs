@@ -330,7 +330,7 @@ pub(super) fn thumbnails(video: &VideoId) -> Option<Thumbnails> {
     });
     Some(Thumbnails {
         frame_jpeg: frame,
-        heat_jpeg: Some(heat),
+        heat_jpeg: heat,
     })
 }
 

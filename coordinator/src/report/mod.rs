@@ -27,6 +27,7 @@ mod fixture;
 mod tests;
 
 use plumbline_common::id::VideoId;
+use plumbline_common::message::Thumbnails;
 use plumbline_common::row::{Row, Status};
 
 use crate::publish::{CorpusFile, CostRow};
@@ -50,15 +51,6 @@ pub struct ReportInput<'a> {
     pub options: &'a [(String, String)],
     /// Videos shown at each end of the ranking.
     pub ranked: usize,
-}
-
-/// Pictures of one video at its peak frame, as JPEG files.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Thumbnails {
-    /// The frame.
-    pub frame_jpeg: Vec<u8>,
-    /// Its residuals as a heat map.
-    pub heat_jpeg: Option<Vec<u8>>,
 }
 
 /// Seconds spent, summed over all measurements.

@@ -133,13 +133,12 @@ fn pictures(thumbnails: Option<Thumbnails>) -> Markup {
     else {
         return html! {};
     };
-    let heat_jpeg = heat_jpeg.filter(usable);
     html! {
         @if usable(&frame_jpeg) {
             div.pictures {
                 img src=(jpeg_address(&frame_jpeg)) alt="Peak frame" loading="lazy" decoding="async";
-                @if let Some(heat) = heat_jpeg {
-                    img src=(jpeg_address(&heat)) alt="Heat map of the residual" loading="lazy" decoding="async";
+                @if usable(&heat_jpeg) {
+                    img src=(jpeg_address(&heat_jpeg)) alt="Heat map of the residual" loading="lazy" decoding="async";
                 }
             }
         }

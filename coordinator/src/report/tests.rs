@@ -198,7 +198,7 @@ fn a_picture_that_is_too_large_is_left_out() {
         thumbnails: &|_| {
             Some(Thumbnails {
                 frame_jpeg: vec![0; 10 << 20],
-                heat_jpeg: None,
+                heat_jpeg: Vec::new(),
             })
         },
         costs: None,

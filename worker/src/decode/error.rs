@@ -104,7 +104,7 @@ impl DecodeError {
 }
 
 impl DecodeLimits {
-    pub(super) fn check_bytes(&self, bytes: u64) -> Result<(), DecodeError> {
+    pub(crate) fn check_bytes(&self, bytes: u64) -> Result<(), DecodeError> {
         within(LimitKind::Bytes, bytes as f64, self.max_bytes as f64)
     }
 

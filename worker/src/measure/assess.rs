@@ -1,6 +1,8 @@
 //! The paper's absolute assessment on the residual series: e_t, j_t = |e_t − e_{t−1}|, t* = argmax j_t
 //! over the frames after the warm-up. Residuals in px of a 256-px-high picture, frames 0-based.
 
+use plumbline_vision::signals::median;
+
 /// A jump stands out when it exceeds the median jump by this many robust standard deviations. The
 /// paper's own failures (its Sora and Grok cases) have a largest jump inside the series' scatter.
 const RELIABLE_DEVIATIONS: f64 = 6.0;
@@ -42,10 +44,10 @@ pub(super) fn assess(series: &[(u32, f64)], warmup: u32) -> Assessment {
         .copied()
         .reduce(|best, jump| if jump.1 > best.1 { jump } else { best });
     let peak_reliable = peak.and_then(|(_, jump)| {
-        let sizes: Vec<f64> = jumps.iter().map(|(_, jump)| *jump).collect();
-        let centre = median(&sizes)?;
-        let deviations: Vec<f64> = sizes.iter().map(|size| (size - centre).abs()).collect();
-        let scatter = MAD_TO_SIGMA * median(&deviations)?;
+        let mut sizes: Vec<f64> = jumps.iter().map(|(_, jump)| *jump).collect();
+        let centre = median(&mut sizes)?;
+        let mut deviations: Vec<f64> = sizes.iter().map(|size| (size - centre).abs()).collect();
+        let scatter = MAD_TO_SIGMA * median(&mut deviations)?;
         Some(jump > centre + RELIABLE_DEVIATIONS * scatter && jump > RELIABLE_RATIO * centre)
     });
     Assessment {
@@ -53,18 +55,6 @@ pub(super) fn assess(series: &[(u32, f64)], warmup: u32) -> Assessment {
         max_jump: peak.map(|(_, jump)| jump),
         peak_frame: peak.map(|(frame, _)| frame),
         peak_reliable,
-    }
-}
-
-/// Median; the mean of the middle two for an even count, `None` of nothing.
-pub(super) fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let middle = sorted.len() / 2;
-    match sorted.len() {
-        0 => None,
-        n if n % 2 == 1 => Some(sorted[middle]),
-        _ => Some(sorted[middle - 1] + (sorted[middle] - sorted[middle - 1]) / 2.0),
     }
 }
 
@@ -105,12 +95,5 @@ mod tests {
         assert_eq!(assess(&[(8, 1.0), (10, 5.0)], 7).peak_frame, None);
         assert_eq!(assess(&series(&[1.0, 2.0]), 7).mean_error, Some(1.5));
         assert_eq!(assess(&[], 7), Assessment::default());
-    }
-
-    #[test]
-    fn medians() {
-        assert_eq!(median(&[]), None);
-        assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!(median(&[4.0, 1.0]), Some(2.5));
     }
 }

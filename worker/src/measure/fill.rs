@@ -2,10 +2,10 @@
 
 use plumbline_common::row::{GeometryMethod, Measurement, Scene, Series};
 use plumbline_vision::scene::{ClipGeometry, SceneKind};
-use plumbline_vision::signals::PairSignals;
 use plumbline_vision::signals::arc::ArcStep;
+use plumbline_vision::signals::{PairSignals, median};
 
-use super::assess::{assess, median};
+use super::assess::assess;
 use super::observers::Observed;
 
 /// P and T of a clip are medians; fewer defined pairs are no evidence.
@@ -105,10 +105,10 @@ fn mean(values: &[Option<f64>]) -> Option<f64> {
 }
 
 fn median_of_defined(values: &[Option<f64>]) -> Option<f64> {
-    let defined: Vec<f64> = values.iter().flatten().copied().collect();
+    let mut defined: Vec<f64> = values.iter().flatten().copied().collect();
     if defined.len() < MIN_DEFINED_PAIRS {
         None
     } else {
-        median(&defined)
+        median(&mut defined)
     }
 }

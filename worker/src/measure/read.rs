@@ -7,13 +7,12 @@ use std::ops::ControlFlow;
 use std::os::unix::ffi::OsStringExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::UNIX_EPOCH;
 
+use plumbline_common::file_time::modified_ns;
 use plumbline_common::message::{Job, Location};
 
 use crate::decode::{
-    DecodeError, DecodeLimits, DecodedFrame, LimitKind, VideoInfo, decode_images, decode_video,
-    digest_images,
+    DecodeError, DecodeLimits, DecodedFrame, VideoInfo, decode_images, decode_video, digest_images,
 };
 use crate::profile::Profile;
 
@@ -54,7 +53,7 @@ impl Input {
             }
             Location::ImageSequence(path) => {
                 let path = path_of(path);
-                check_size(job.bytes, limits)?;
+                limits.check_bytes(job.bytes)?;
                 Ok(Self {
                     digest: digest_images(&path)?.to_hex().to_string(),
                     content: Content::Images(path),
@@ -89,18 +88,14 @@ fn read_file(path: &Path, job: &Job, limits: &DecodeLimits) -> Result<Vec<u8>, R
     };
     let file = File::open(path).map_err(io)?;
     let metadata = file.metadata().map_err(io)?;
-    let modified = metadata.modified().map_err(io)?;
-    let modified_ns = match modified.duration_since(UNIX_EPOCH) {
-        Ok(after) => after.as_nanos() as i128,
-        Err(before) => -(before.duration().as_nanos() as i128),
-    };
+    let modified_ns = modified_ns(&metadata).map_err(io)?;
     let changed = || ReadError::Changed {
         path: path.display().to_string(),
     };
     if (metadata.len(), modified_ns) != (job.bytes, job.modified_ns) {
         return Err(changed());
     }
-    check_size(job.bytes, limits)?;
+    limits.check_bytes(job.bytes)?;
     let mut bytes = Vec::with_capacity(job.bytes as usize);
     // One byte more than announced, so that a file that grows meanwhile is noticed.
     file.take(job.bytes + 1)
@@ -110,15 +105,4 @@ fn read_file(path: &Path, job: &Job, limits: &DecodeLimits) -> Result<Vec<u8>, R
         return Err(changed());
     }
     Ok(bytes)
-}
-
-fn check_size(bytes: u64, limits: &DecodeLimits) -> Result<(), DecodeError> {
-    if bytes > limits.max_bytes {
-        return Err(DecodeError::OverLimit {
-            what: LimitKind::Bytes,
-            value: bytes as f64,
-            limit: limits.max_bytes as f64,
-        });
-    }
-    Ok(())
 }

@@ -1,7 +1,8 @@
 //! The median of numbers.
 
 /// The median, the mean of the middle two for an even count; `None` of nothing. Reorders its argument.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
+#[must_use]
+pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     let is_odd = values.len() % 2 == 1;
     if values.is_empty() {

@@ -12,7 +12,7 @@ mod piecewise;
 
 pub use piecewise::{PiecewiseParams, piecewise_residual};
 
-pub(crate) use median::median;
+pub use median::median;
 
 use serde::{Deserialize, Serialize};
 
