@@ -11,7 +11,7 @@ pub(super) const PATCH_SIZES: [usize; 4] = [4, 8, 12, 16];
 // 2^16 px is beyond any frame that fits in memory here; a larger scale is a typing error.
 const LARGEST_SCALE: u32 = 16;
 
-// OpenCV's FAST and MEDIUM. The stripes are there for its threads, but they also keep a wrong vector
+// OpenCV's presets. The stripes are there for its threads, but they also keep a wrong vector
 // from running over the whole frame: on `shared/data/flow` they lower the error of large motions.
 const PRESET_STRIPES: usize = 8;
 const PRESET_REFINEMENT_ITERATIONS: usize = 5;
@@ -75,8 +75,7 @@ pub struct RefinementParams {
 }
 
 impl DisParams {
-    /// OpenCV's ULTRAFAST with a free finest scale (OpenCV: 2) and vectors that propagate over the
-    /// whole frame (OpenCV: in 8 stripes).
+    /// OpenCV's ULTRAFAST with a free finest scale (OpenCV: 2).
     #[must_use]
     pub fn ultrafast(finest_scale: u32) -> Self {
         Self {
@@ -86,7 +85,7 @@ impl DisParams {
             gradient_descent_iterations: 12,
             mean_normalisation: true,
             spatial_propagation: true,
-            propagation_stripes: 1,
+            propagation_stripes: PRESET_STRIPES,
             // OpenCV differentiates with an unnormalised Sobel kernel, eight times the gradient, so
             // that its steps are an eighth of Gauss-Newton's.
             step_length: 0.125,
@@ -100,7 +99,6 @@ impl DisParams {
     pub fn fast() -> Self {
         Self {
             gradient_descent_iterations: 16,
-            propagation_stripes: PRESET_STRIPES,
             refinement_iterations: PRESET_REFINEMENT_ITERATIONS,
             ..Self::ultrafast(2)
         }
@@ -112,7 +110,6 @@ impl DisParams {
         Self {
             patch_stride: 3,
             gradient_descent_iterations: 25,
-            propagation_stripes: PRESET_STRIPES,
             refinement_iterations: PRESET_REFINEMENT_ITERATIONS,
             ..Self::ultrafast(1)
         }

@@ -508,10 +508,15 @@ fn bits_never_change() {
         patch_size: 12,
         ..DisParams::ultrafast(0)
     };
+    let whole_frame = DisParams {
+        propagation_stripes: 1,
+        ..DisParams::ultrafast(1)
+    };
     let cases = [
-        (DisParams::ultrafast(0), 0x283a_1328_c0cb_e713),
-        (DisParams::ultrafast(1), 0xbfa4_2a07_3e55_18f2),
-        (DisParams::ultrafast(2), 0xdcbb_798e_9c76_193a),
+        (whole_frame, 0xbfa4_2a07_3e55_18f2),
+        (DisParams::ultrafast(0), 0x8bc4_ed7b_f31b_63d1),
+        (DisParams::ultrafast(1), 0x4761_5f1b_9066_3b75),
+        (DisParams::ultrafast(2), 0x59f8_f2bd_d080_eedd),
         (plain, 0x4270_1880_8959_b771),
     ];
     for (params, expected) in cases {
