@@ -23,6 +23,8 @@ pub(super) struct Densifier {
 }
 
 impl Densifier {
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub(super) fn densify(
         &mut self,
         vectors: &[[f32; 2]],
@@ -171,6 +173,8 @@ pub(super) struct Upsampler {
 
 impl Upsampler {
     /// `field` on a `width` × `height` grid over the same picture, in pixels of that grid.
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub(super) fn upsample(
         &mut self,
         field: &DenseField,

@@ -66,6 +66,8 @@ impl DisFrame {
     /// # Errors
     /// [`FlowError`] when the parameters have no meaning, the frame is no picture or smaller than a
     /// patch, or a pixel is not finite or far outside 0..=255.
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub fn new(grey: &Plane, params: &DisParams) -> Result<Self, FlowError> {
         params.validate()?;
         grey.validate()?;

@@ -39,6 +39,8 @@ impl Search {
         }
     }
 
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub(super) fn run(&mut self, first: &Level, second: &Level, params: &DisParams) {
         dispatch(Sweeps {
             search: self,
