@@ -185,13 +185,15 @@ impl Upsampler {
         flow: &mut Flow,
     ) {
         (flow.width, flow.height) = (width, height);
-        flow.data.clear();
+        // Every vector is written below: only a new size costs a fill.
+        flow.data.resize(width * height, [0.0; 2]);
         if (width, height) == (field.width, field.height) {
             let vectors = field.u.iter().zip(&field.v);
-            flow.data.extend(vectors.map(|(&u, &v)| [u, v]));
+            for (out, (&u, &v)) in flow.data.iter_mut().zip(vectors) {
+                *out = [u, v];
+            }
             return;
         }
-        flow.data.resize(width * height, [0.0; 2]);
         dispatch(Upsampling {
             upsampler: self,
             field,
