@@ -22,6 +22,9 @@ const FRAMES: usize = 10;
 /// Grey level of column x, row y of frame t.
 type Scene = fn(usize, usize, usize) -> u8;
 
+/// Name, width and height, pictures, statuses that may come of them.
+type Case = (&'static str, (u32, u32), Scene, &'static [Status]);
+
 fn write_frames(directory: &Path, (width, height): (u32, u32), scene: Scene) {
     for frame in 0..FRAMES {
         let picture = image::GrayImage::from_fn(width, height, |x, y| {
@@ -63,7 +66,7 @@ fn noise(x: usize, y: usize, t: usize) -> u8 {
 #[test]
 fn degenerate_clips_get_a_typed_row_without_a_nan() {
     let small = (48, 32);
-    let cases: [(&str, (u32, u32), Scene, &[Status]); 9] = [
+    let cases: [Case; 9] = [
         ("all black", small, |_, _, _| 0, &[Status::Static]),
         ("all white", small, |_, _, _| 255, &[Status::Static]),
         (

@@ -1,6 +1,6 @@
 //! Dense optical flow fields and the methods that find them.
 //!
-//! Flows are in pixels of their own grid, `[H, W, 2]`, x (right) then y (down). [`file`] reads and writes
+//! Flows are in pixels of their own grid, `[H, W, 2]`, x (right) then y (down). [`mod@file`] reads and writes
 //! them, [`accuracy`] holds them against ground truth.
 
 pub mod accuracy;
