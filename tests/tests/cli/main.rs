@@ -1,7 +1,7 @@
 //! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
-//! `faults`: known faults in the published rows. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
+//! `faults`: known faults in the published rows. `flow`: `plumbline flow`. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
 #![allow(
@@ -13,6 +13,7 @@
 )]
 
 mod faults;
+mod flow;
 mod hostile;
 mod main_path;
 mod paper;

@@ -115,6 +115,31 @@ pub fn decode_images(
     Ok(info)
 }
 
+/// One png or jpeg file as presented (EXIF orientation applied), within the limits on bytes and size.
+///
+/// # Errors
+/// `Io`, `OverLimit`, or `Undecodable` naming the file.
+pub fn decode_image(path: &Path, limits: &DecodeLimits) -> Result<Rgb8, DecodeError> {
+    let name = path.display().to_string();
+    let metadata = fs::metadata(path).map_err(|source| DecodeError::Io {
+        path: path.to_owned(),
+        source,
+    })?;
+    // A pipe or a device has no length to hold against the limit.
+    if !metadata.is_file() {
+        return Err(DecodeError::undecodable(format!(
+            "{name} is no regular file; give a png or jpeg image"
+        )));
+    }
+    limits.check_bytes(metadata.len())?;
+    let image = NumberedImage {
+        number: 0,
+        name,
+        path: path.to_owned(),
+    };
+    read(&image, limits).map(|(rgb, _, _)| rgb)
+}
+
 fn describe(rgb: &Rgb8, format: ImageFormat, pixel_format: String) -> VideoInfo {
     let (width, height) = (rgb.width as u32, rgb.height as u32);
     VideoInfo {

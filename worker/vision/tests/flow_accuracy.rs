@@ -9,11 +9,12 @@
 use std::path::{Path, PathBuf};
 
 use plumbline_vision::flow::Flow;
+use plumbline_vision::flow::accuracy::FlowAccuracy;
 use plumbline_vision::flow::dis::{Dis, DisFrame, DisParams};
+use plumbline_vision::flow::file::middlebury;
 use plumbline_vision::image::{Plane, Rgb8};
 
 const PAIRS: usize = 8;
-const UNKNOWN: f32 = 1e9;
 
 fn shared_pairs() -> Option<Vec<PathBuf>> {
     let manifest = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -35,34 +36,10 @@ fn grey(path: &Path) -> Plane {
     Rgb8::new(width, height, picture.into_raw()).unwrap().grey()
 }
 
-/// Middlebury's `.flo`: the tag "PIEH", width, height, then interleaved little-endian floats.
-fn read_flo(path: &Path) -> Flow {
-    let bytes = std::fs::read(path).unwrap();
-    assert_eq!(&bytes[..4], b"PIEH");
-    let word = |at: usize| <[u8; 4]>::try_from(&bytes[at..at + 4]).unwrap();
-    let float = |at: usize| f32::from_le_bytes(word(at));
-    let (width, height) = (
-        u32::from_le_bytes(word(4)) as usize,
-        u32::from_le_bytes(word(8)) as usize,
-    );
-    let vector = |i: usize| [float(12 + 8 * i), float(16 + 8 * i)];
-    Flow {
-        width,
-        height,
-        data: (0..width * height).map(vector).collect(),
-    }
-}
-
-fn mean_end_point_error(found: &Flow, truth: &Flow) -> f64 {
-    assert_eq!((found.width, found.height), (truth.width, truth.height));
-    let errors: Vec<f64> = found
-        .data
-        .iter()
-        .zip(&truth.data)
-        .filter(|(_, t)| t.iter().all(|c| c.abs() < UNKNOWN))
-        .map(|(f, t)| f64::from(f[0] - t[0]).hypot(f64::from(f[1] - t[1])))
-        .collect();
-    errors.iter().sum::<f64>() / errors.len() as f64
+fn mean_end_point_error(found: &Flow, truth: &Path) -> f64 {
+    let truth = middlebury::decode(&std::fs::read(truth).unwrap()).unwrap();
+    let accuracy = FlowAccuracy::new(found, &truth).unwrap().unwrap();
+    accuracy.mean_epe_px
 }
 
 #[test]
@@ -87,7 +64,7 @@ fn presets_are_no_worse_than_opencv() {
             let flow = dis
                 .flow(&frame("frame1.png"), &frame("frame2.png"))
                 .unwrap();
-            sum += mean_end_point_error(&flow, &read_flo(&pair.join("gt.flo")));
+            sum += mean_end_point_error(&flow, &pair.join("gt.flo"));
         }
         let mean = sum / pairs.len() as f64;
         println!("{name}: {mean:.4} px (OpenCV {opencv_px:.4})");

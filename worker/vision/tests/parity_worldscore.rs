@@ -1,8 +1,8 @@
 //! `worldscore_epe` against the reference's own numbers (`tests/golden/README.md`).
 //!
-//! Failure masks and counts are compared exactly. The averages may differ in the order of summation
-//! only: NumPy sums pairwise, this crate in order; over at most 10⁵ terms of one sign in f64 that is
-//! below 1e-12 relative (seen: 4e-15). Non-finite averages are `None` here.
+//! All is compared exactly: failure masks, counts and, to the last bit, the averages, whose terms are
+//! summed in NumPy's order (`numpy_sum` in `src/consistency/worldscore.rs`). Every operation involved is
+//! correctly rounded by IEEE 754, so no machine may differ. Non-finite averages are `None` here.
 
 #![expect(
     clippy::unwrap_used,
@@ -17,8 +17,6 @@ use std::path::Path;
 use npyz::npz::NpzArchive;
 use plumbline_vision::consistency::{ConsistencyError, worldscore_epe};
 use plumbline_vision::flow::Flow;
-
-const SUM_TOLERANCE: f64 = 1e-12;
 
 const CASES: [&str; 13] = [
     "smooth",
@@ -72,10 +70,7 @@ fn all_cases_match_the_reference() {
         assert_eq!(epe.failure_mask, expected_mask, "{case}");
         assert_eq!(epe.failure_count as i64, failures, "{case}");
         match epe.average_px {
-            Some(found) => assert!(
-                (found - average).abs() <= SUM_TOLERANCE * average.abs(),
-                "{case}: {found} vs {average}"
-            ),
+            Some(found) => assert_eq!(found.to_bits(), average.to_bits(), "{case}"),
             None => assert!(!average.is_finite(), "{case}: {average} was lost"),
         }
     }

@@ -3,8 +3,8 @@
 //!
 //! 30 rows and 30 columns are cut away in total, 15 on each side, and the grid restarts at 0 in the
 //! crop. The end point is rounded half-to-even and clamped to the crop to read the backward flow;
-//! points that leave still count. Units: pixels of the flow's own grid; sums in f64. An average that
-//! does not exist (empty crop, non-finite flow) is `None`.
+//! points that leave still count. Units: pixels of the flow's own grid; sums in f64, in NumPy's order.
+//! An average that does not exist (empty crop, non-finite flow) is `None`.
 
 use super::{ConsistencyError, ConsistencyParams, check_pair};
 use crate::flow::Flow;
@@ -51,8 +51,7 @@ pub fn worldscore_epe(forward: &Flow, backward: &Flow) -> Result<WorldscoreEpe, 
         let [u, v] = flow.data[(y + CROP_PX / 2) * flow.width + x + CROP_PX / 2];
         [f64::from(u), f64::from(v)]
     };
-    let mut sum = 0.0;
-    let mut failure_mask = Vec::with_capacity(width * height);
+    let mut errors_px = Vec::with_capacity(width * height);
     for y in 0..height {
         for x in 0..width {
             let [u, v] = at(forward, x, y);
@@ -64,18 +63,42 @@ pub fn worldscore_epe(forward: &Flow, backward: &Flow) -> Result<WorldscoreEpe, 
             );
             let dx = end[0] + back_u - x as f64;
             let dy = end[1] + back_v - y as f64;
-            let error = (dx * dx + dy * dy).sqrt();
-            sum += error;
-            failure_mask.push(error > FAILURE_PX);
+            errors_px.push((dx * dx + dy * dy).sqrt());
         }
     }
-    let average = sum / failure_mask.len() as f64;
+    let average = numpy_sum(&errors_px) / errors_px.len() as f64;
+    let failure_mask: Vec<bool> = errors_px.iter().map(|&error| error > FAILURE_PX).collect();
     Ok(WorldscoreEpe {
         average_px: average.is_finite().then_some(average),
         failure_count: failure_mask.iter().filter(|&&failed| failed).count(),
         failure_mask,
         flow_height: forward.height,
     })
+}
+
+/// The sum of contiguous f64 values in the order of NumPy's `add.reduce` (`pairwise_sum` of its
+/// `loops_utils.h.src`): halves down to blocks of 128, eight running sums inside a block. The same order
+/// gives the same last bits.
+fn numpy_sum(values: &[f64]) -> f64 {
+    const BLOCK: usize = 128;
+    const RUNNING: usize = 8;
+    if values.len() > BLOCK {
+        let half = values.len() / 2;
+        let (first, second) = values.split_at(half - half % RUNNING);
+        return numpy_sum(first) + numpy_sum(second);
+    }
+    let (rows, rest) = values.as_chunks::<RUNNING>();
+    let Some((&first, rows)) = rows.split_first() else {
+        return rest.iter().fold(0.0, |sum, value| sum + value);
+    };
+    let mut r = first;
+    for row in rows {
+        for (sum, value) in r.iter_mut().zip(row) {
+            *sum += value;
+        }
+    }
+    let sum = ((r[0] + r[1]) + (r[2] + r[3])) + ((r[4] + r[5]) + (r[6] + r[7]));
+    rest.iter().fold(sum, |sum, value| sum + value)
 }
 
 /// Rounds half-to-even and clips to `0..length`. NaN, infinities and values beyond i64 become index

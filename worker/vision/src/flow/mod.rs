@@ -1,8 +1,11 @@
 //! Dense optical flow fields and the methods that find them.
 //!
-//! Flows are in pixels of their own grid, `[H, W, 2]`, x (right) then y (down).
+//! Flows are in pixels of their own grid, `[H, W, 2]`, x (right) then y (down). [`mod@file`] reads and writes
+//! them, [`accuracy`] holds them against ground truth.
 
+pub mod accuracy;
 pub mod dis;
+pub mod file;
 pub(crate) mod simd;
 
 use crate::image::ImageError;

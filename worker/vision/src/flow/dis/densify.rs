@@ -23,6 +23,8 @@ pub(super) struct Densifier {
 }
 
 impl Densifier {
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub(super) fn densify(
         &mut self,
         vectors: &[[f32; 2]],
@@ -65,9 +67,10 @@ impl Densifier {
             .flat_map(|&y| first.patch_columns.iter().map(move |&x| (x, y)));
         for ((x, y), &[u, v]) in patches.zip(vectors) {
             let at = Placement::new(second, x, y, [u, v], P);
-            let mut differences = Differences::<P>::new(first.pixels_at(x, y), second, at);
+            let reference = first.pixels_at(x, y);
+            let mut differences = Differences::<P>::new(second, at);
             for row in 0..P {
-                let difference = differences.row(row);
+                let difference = differences.row(row, &reference[row * first.stride..]);
                 let start = (y + row) * width + x;
                 let total = &mut self.weight[start..][..P];
                 let sum_u = &mut field.u[start..][..P];
@@ -165,12 +168,15 @@ impl DenseField {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Upsampler {
     columns: Vec<Tap>,
+    widener: Widener,
     upper: Vec<[f32; 2]>,
     lower: Vec<[f32; 2]>,
 }
 
 impl Upsampler {
     /// `field` on a `width` × `height` grid over the same picture, in pixels of that grid.
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub(super) fn upsample(
         &mut self,
         field: &DenseField,
@@ -179,13 +185,15 @@ impl Upsampler {
         flow: &mut Flow,
     ) {
         (flow.width, flow.height) = (width, height);
-        flow.data.clear();
+        // Every vector is written below: only a new size costs a fill.
+        flow.data.resize(width * height, [0.0; 2]);
         if (width, height) == (field.width, field.height) {
             let vectors = field.u.iter().zip(&field.v);
-            flow.data.extend(vectors.map(|(&u, &v)| [u, v]));
+            for (out, (&u, &v)) in flow.data.iter_mut().zip(vectors) {
+                *out = [u, v];
+            }
             return;
         }
-        flow.data.resize(width * height, [0.0; 2]);
         dispatch(Upsampling {
             upsampler: self,
             field,
@@ -202,42 +210,86 @@ impl Upsampler {
         self.columns.clear();
         self.columns
             .extend((0..flow.width).map(|x| Tap::new(x, field.width, flow.width)));
+        self.widener.aim(&self.columns, scale);
         // Two widened source rows at a time; consecutive output rows mostly share them.
         let mut held = None;
         for (y, out) in flow.data.chunks_exact_mut(flow.width).enumerate() {
             let tap = Tap::new(y, field.height, flow.height);
             if held != Some((tap.index, tap.next)) {
-                widen(field, &self.columns, tap.index, scale, &mut self.upper);
-                widen(field, &self.columns, tap.next, scale, &mut self.lower);
+                if held.is_some_and(|(_, next)| next == tap.index) {
+                    std::mem::swap(&mut self.upper, &mut self.lower);
+                } else {
+                    let upper = &mut self.upper;
+                    self.widener.widen(field, &self.columns, tap.index, upper);
+                }
+                let lower = &mut self.lower;
+                self.widener.widen(field, &self.columns, tap.next, lower);
                 held = Some((tap.index, tap.next));
             }
-            for ((out, a), b) in out.iter_mut().zip(&self.upper).zip(&self.lower) {
-                *out = [
-                    a[0] + tap.fraction * (b[0] - a[0]),
-                    a[1] + tap.fraction * (b[1] - a[1]),
-                ];
+            // Components in one run, which becomes whole vectors.
+            let (upper, lower) = (self.upper.as_flattened(), self.lower.as_flattened());
+            for ((out, a), b) in out.as_flattened_mut().iter_mut().zip(upper).zip(lower) {
+                *out = a + tap.fraction * (b - a);
             }
         }
     }
 }
 
-/// Row `row` of the field at the taps, scaled.
-#[inline(always)]
-fn widen(
-    field: &DenseField,
-    columns: &[Tap],
-    row: usize,
-    scale: [f32; 2],
-    out: &mut Vec<[f32; 2]>,
-) {
-    let u = &field.u[row * field.width..][..field.width];
-    let v = &field.v[row * field.width..][..field.width];
-    out.clear();
-    out.extend(
-        columns
+/// Interpolates rows of the field at the taps: vectors are gathered first, u and v by one load, so that
+/// the arithmetic runs over whole vectors.
+#[derive(Debug, Clone, Default)]
+struct Widener {
+    /// Per tap and component: the fraction, and the factor to the larger grid.
+    fractions: Vec<[f32; 2]>,
+    scales: Vec<[f32; 2]>,
+    source: Vec<[f32; 2]>,
+    left: Vec<[f32; 2]>,
+    right: Vec<[f32; 2]>,
+}
+
+impl Widener {
+    #[inline(always)]
+    fn aim(&mut self, columns: &[Tap], scale: [f32; 2]) {
+        self.fractions.clear();
+        for tap in columns {
+            self.fractions.push([tap.fraction; 2]);
+        }
+        self.scales.clear();
+        self.scales.resize(columns.len(), scale);
+        self.left.resize(columns.len(), [0.0; 2]);
+        self.right.resize(columns.len(), [0.0; 2]);
+    }
+
+    /// Row `row` at the taps, scaled.
+    #[inline(always)]
+    fn widen(&mut self, field: &DenseField, columns: &[Tap], row: usize, out: &mut Vec<[f32; 2]>) {
+        let u = &field.u[row * field.width..][..field.width];
+        let v = &field.v[row * field.width..][..field.width];
+        self.source.resize(field.width, [0.0; 2]);
+        for ((vector, &u), &v) in self.source.iter_mut().zip(u).zip(v) {
+            *vector = [u, v];
+        }
+        let source = &self.source[..];
+        for ((left, right), tap) in self.left.iter_mut().zip(&mut self.right).zip(columns) {
+            *left = source[tap.index];
+            *right = source[tap.next];
+        }
+        out.resize(columns.len(), [0.0; 2]);
+        let out = out.as_flattened_mut().iter_mut();
+        let ends = self
+            .left
+            .as_flattened()
             .iter()
-            .map(|tap| [tap.mix(u) * scale[0], tap.mix(v) * scale[1]]),
-    );
+            .zip(self.right.as_flattened());
+        let factors = self
+            .fractions
+            .as_flattened()
+            .iter()
+            .zip(self.scales.as_flattened());
+        for ((out, (a, b)), (fraction, scale)) in out.zip(ends).zip(factors) {
+            *out = (a + fraction * (b - a)) * scale;
+        }
+    }
 }
 
 struct Upsampling<'a> {

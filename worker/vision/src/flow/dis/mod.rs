@@ -7,7 +7,7 @@
 //! conventions (coarsest scale, two sweeps, acceptance rule) follow OpenCV's `DISOpticalFlow`; where
 //! this differs:
 //! - the pyramid stays in floats, not 8 bits;
-//! - vectors may propagate over the whole frame instead of inside eight stripes;
+//! - the number of stripes inside which vectors propagate is free (OpenCV, and the presets: eight);
 //! - a last patch row and column touch the far borders, so that every pixel is covered;
 //! - vectors scale between levels by the true size ratio, so odd sizes have no bias.
 //!

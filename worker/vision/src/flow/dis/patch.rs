@@ -44,11 +44,40 @@ pub(super) struct Comparison {
     pub(super) descent: [f32; 2],
 }
 
+/// A patch of the first frame with its derivatives, copied out once for all its comparisons: fixed arrays
+/// need no bounds checks, which would be a third of a comparison's instructions.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Template<const P: usize> {
+    pixels: [[f32; P]; P],
+    gradient_x: [[f32; P]; P],
+    gradient_y: [[f32; P]; P],
+}
+
+impl<const P: usize> Template<P> {
+    #[inline(always)]
+    pub(super) fn new(first: &Level, x: usize, y: usize) -> Self {
+        let start = y * first.width + x;
+        Self {
+            pixels: copy_rows(first.pixels_at(x, y), first.stride),
+            gradient_x: copy_rows(&first.gradient_x[start..], first.width),
+            gradient_y: copy_rows(&first.gradient_y[start..], first.width),
+        }
+    }
+}
+
+#[inline(always)]
+fn copy_rows<const P: usize>(source: &[f32], stride: usize) -> [[f32; P]; P] {
+    let mut rows = [[0.0; P]; P];
+    for (y, row) in rows.iter_mut().enumerate() {
+        row.copy_from_slice(&source[y * stride..][..P]);
+    }
+    rows
+}
+
 /// The interpolated difference second − first, row by row from the top.
 ///
 /// No closures here: one that the compiler does not inline keeps the baseline's instructions.
 pub(super) struct Differences<'a, const P: usize> {
-    first: &'a [f32],
     pixels: &'a [f32],
     stride: usize,
     fraction_x: f32,
@@ -57,12 +86,10 @@ pub(super) struct Differences<'a, const P: usize> {
 }
 
 impl<'a, const P: usize> Differences<'a, P> {
-    /// `first` starts at the patch's first pixel, in rows as long as `second`'s.
     #[inline(always)]
-    pub(super) fn new(first: &'a [f32], second: &'a Level, at: Placement) -> Self {
+    pub(super) fn new(second: &'a Level, at: Placement) -> Self {
         let pixels = &second.padded[at.offset..];
         Self {
-            first,
             pixels,
             stride: second.stride,
             fraction_x: at.fraction_x,
@@ -71,11 +98,11 @@ impl<'a, const P: usize> Differences<'a, P> {
         }
     }
 
-    /// Row `y`; rows are asked for in order.
+    /// Row `y` against the first frame's; rows are asked for in order.
     #[inline(always)]
-    pub(super) fn row(&mut self, y: usize) -> [f32; P] {
+    pub(super) fn row(&mut self, y: usize, reference: &[f32]) -> [f32; P] {
         let lower = interpolate_row::<P>(&self.pixels[(y + 1) * self.stride..], self.fraction_x);
-        let reference = &self.first[y * self.stride..][..P];
+        let reference = &reference[..P];
         let mut difference = [0.0; P];
         for k in 0..P {
             difference[k] = self.upper[k] + self.fraction_y * (lower[k] - self.upper[k]);
@@ -120,16 +147,16 @@ fn reduce<const P: usize, const N: usize>(rows: &mut [[f32; P]; N]) -> [f32; N] 
 /// Squared distance alone, for choosing among starting points.
 #[inline(always)]
 pub(super) fn distance<const P: usize>(
-    first: &[f32],
+    template: &Template<P>,
     second: &Level,
     at: Placement,
     mean_normalisation: bool,
 ) -> f32 {
     let mut sum = [0.0; P];
     let mut square = [0.0; P];
-    let mut differences = Differences::<P>::new(first, second, at);
+    let mut differences = Differences::<P>::new(second, at);
     for y in 0..P {
-        let difference = differences.row(y);
+        let difference = differences.row(y, &template.pixels[y]);
         for k in 0..P {
             sum[k] += difference[k];
             square[k] += difference[k] * difference[k];
@@ -146,23 +173,20 @@ pub(super) fn distance<const P: usize>(
 /// Squared distance and gradient-weighted difference, for one search step.
 #[inline(always)]
 pub(super) fn compare<const P: usize>(
-    first: &[f32],
+    template: &Template<P>,
     second: &Level,
     at: Placement,
-    [gradient_x, gradient_y]: [&[f32]; 2],
     tensor: &PatchTensor,
     mean_normalisation: bool,
 ) -> Comparison {
-    let width = second.width;
     let mut sum = [0.0; P];
     let mut square = [0.0; P];
     let mut along_x = [0.0; P];
     let mut along_y = [0.0; P];
-    let mut differences = Differences::<P>::new(first, second, at);
+    let mut differences = Differences::<P>::new(second, at);
     for y in 0..P {
-        let difference = differences.row(y);
-        let gx = &gradient_x[y * width..][..P];
-        let gy = &gradient_y[y * width..][..P];
+        let difference = differences.row(y, &template.pixels[y]);
+        let (gx, gy) = (&template.gradient_x[y], &template.gradient_y[y]);
         for k in 0..P {
             sum[k] += difference[k];
             square[k] += difference[k] * difference[k];

@@ -9,7 +9,7 @@
 use super::densify::DenseField;
 use super::frame::Level;
 use super::params::DisParams;
-use super::patch::{Comparison, Placement, compare, distance};
+use super::patch::{Comparison, Placement, Template, compare, distance};
 use crate::flow::simd::{Kernel, dispatch};
 
 /// The sparse field, one vector per patch, row-major.
@@ -39,6 +39,8 @@ impl Search {
         }
     }
 
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub(super) fn run(&mut self, first: &Level, second: &Level, params: &DisParams) {
         dispatch(Sweeps {
             search: self,
@@ -75,13 +77,15 @@ impl Search {
                         (!row.is_multiple_of(stripe_rows)).then(|| index - columns),
                     ]
                 };
+                let (x, y) = (first.patch_columns[column], first.patch_rows[row]);
                 let patch = Patch::<P> {
                     first,
                     second,
                     params,
+                    template: Template::new(first, x, y),
                     index,
-                    x: first.patch_columns[column],
-                    y: first.patch_rows[row],
+                    x,
+                    y,
                 };
                 self.vectors[index] = patch.search(
                     self.vectors[index],
@@ -126,6 +130,7 @@ struct Patch<'a, const P: usize> {
     first: &'a Level,
     second: &'a Level,
     params: &'a DisParams,
+    template: Template<P>,
     index: usize,
     x: usize,
     y: usize,
@@ -197,8 +202,8 @@ impl<const P: usize> Patch<'_, P> {
 
     #[inline(always)]
     fn distance(&self, vector: [f32; 2]) -> f32 {
-        distance::<P>(
-            self.first.pixels_at(self.x, self.y),
+        distance(
+            &self.template,
             self.second,
             self.place(vector),
             self.params.mean_normalisation,
@@ -207,15 +212,10 @@ impl<const P: usize> Patch<'_, P> {
 
     #[inline(always)]
     fn compare(&self, vector: [f32; 2]) -> Comparison {
-        let start = self.y * self.first.width + self.x;
-        compare::<P>(
-            self.first.pixels_at(self.x, self.y),
+        compare(
+            &self.template,
             self.second,
             self.place(vector),
-            [
-                &self.first.gradient_x[start..],
-                &self.first.gradient_y[start..],
-            ],
             &self.first.tensors[self.index],
             self.params.mean_normalisation,
         )

@@ -3,7 +3,7 @@
 
 use super::densify::{DenseField, Densifier, Upsampler};
 use super::frame::{Level, coarsest_scale};
-use super::patch::{Comparison, Placement, compare};
+use super::patch::{Comparison, Placement, Template, compare};
 use super::search::Search;
 use super::{Dis, DisFrame, DisParams, RefinementParams};
 use crate::flow::simd::{Kernel, dispatch};
@@ -327,12 +327,10 @@ fn patch_comparison_equals_plain_scalars_bit_for_bit() {
         #[inline(always)]
         fn run(self) -> Comparison {
             let Self(first, second, (x, y), at) = self;
-            let start = y * first.width + x;
             compare::<8>(
-                first.pixels_at(x, y),
+                &Template::new(first, x, y),
                 second,
                 Placement::new(second, x, y, at, 8),
-                [&first.gradient_x[start..], &first.gradient_y[start..]],
                 &first.tensors[first.patch_columns.len() * (y / 4) + x / 4],
                 true,
             )

@@ -43,6 +43,8 @@ pub(super) struct Refiner {
 
 impl Refiner {
     /// Refines `field`, the flow from `first` to `second` on their grid.
+    // A stage of its own in a profile.
+    #[inline(never)]
     pub(super) fn refine(
         &mut self,
         field: &mut DenseField,
