@@ -180,12 +180,12 @@ def contact(proto, clip):
     return float(moved[MARGIN:-MARGIN, MARGIN:-MARGIN].mean()), float(changed / (revealed + 125))
 
 
-def constant_motion(proto, frames, pairs=None):
-    """Kept frames (`arc.arc`, from frame 1 on), their clip, and accs, Sd and sh of each step (`lean.lean`).
+def constant_motion(proto, frames, pairs=None, kept=None):
+    """Kept frames (`arc.arc`, from frame 1 on, unless given), their clip, and accs, Sd and sh of each step (`lean.lean`).
 
     Flow that `pairs`, the clip of frames[1:], already has is not computed again.
     """
-    kept = proto.arc.arc(frames)
+    kept = kept or proto.arc.arc(frames)
     clip = proto.ex.C([frames[i] for i in kept])
     for a, i in enumerate(kept):
         for b, j in enumerate(kept):
