@@ -15,6 +15,7 @@ In a file, n frames on a grid of g × g cells, flow in pixels of the frames' hei
   P, T, aepe, xr        [n - 1] per pair; V, step, step_text, vanq, pers, pers_in_frame [n] per frame
   change, change_full   [n - 1]: mean |ΔI| on the grid and at full size
   accs [k - 2], Sd [k - 1], sh [(k - 3) / 2]; U, R_c; clip_*: medians
+  rounded_*             the same with flow looked up at multiples of 1/32 px (see `prototype.look_up_exactly`)
 Flow is float32, or int16 in units of `flow_unit_px`.
 """
 
@@ -50,7 +51,20 @@ FIXTURE_FLOW_STEP = 8
 FIXTURE_FLOW_UNIT_PX = 1 / 32
 
 
-def measure(proto, frames, with_frames, kept=None):
+# What looks flow up between cells: exported as the prototype computes it too, with rounded look-ups.
+LOOKED_UP = ["P", "T", "V", "accs", "Sd", "sh"]
+
+
+def export(proto, frames, with_frames, kept=None):
+    prototype.look_up_exactly(False)
+    rounded = measure(proto, frames, with_frames, kept)
+    prototype.look_up_exactly(True)
+    found = measure(proto, frames, with_frames, kept)
+    found.update({f"rounded_{name}": rounded[name] for name in LOOKED_UP})
+    return found
+
+
+def measure(proto, frames, with_frames, kept):
     used = frames[1:]
     clip = proto.feat.Clip(used, flow=prototype.FLOW)
     n = clip.n
@@ -142,14 +156,14 @@ def main():
         options.out.mkdir(parents=True, exist_ok=True)
         for clip in CLIPS:
             frames = prototype.read_frames(options.source / clip, 256, FRAMES)
-            found = measure(proto, frames, with_frames=True)
+            found = export(proto, frames, with_frames=True)
             np.savez(options.out / (pathlib.Path(clip).stem + ".npz"), **found)
             print(clip, len(frames), "frames,", len(found["kept"]), "kept", flush=True)
     else:
         quantise_flow(proto := prototype.load(options.prototype, grid=FIXTURE_SIZE // 2))
         frames = prototype.read_frames(options.source, FIXTURE_SIZE, FIXTURE_FRAMES)[::FIXTURE_STRIDE]
         # Every frame is kept: a small picture moves by too few pixels for steps.
-        found = measure(proto, frames, with_frames=False, kept=list(range(1, len(frames))))
+        found = export(proto, frames, with_frames=False, kept=list(range(1, len(frames))))
         for name in [name for name in found if "ward" in name]:
             units = found[name] / FIXTURE_FLOW_UNIT_PX
             assert np.array_equal(units, np.round(units)), name

@@ -19,6 +19,7 @@ import numpy as np
 MARGIN = 4
 FLOW = "dis_med1"  # the prototype's name for ultrafast with finest scale 1
 MODULES = ["core", "feat", "lean2", "detectors", "ex", "ex2", "arc", "lean"]
+REMAP = cv2.remap
 ARC_MODULES = ["ex", "ex2", "arc", "lean"]
 
 
@@ -36,6 +37,19 @@ def load(folder, grid=128):
     modules = {name: importlib.import_module(name) for name in MODULES}
     cv2.setNumThreads(1)
     return types.SimpleNamespace(**modules)
+
+
+def look_up_exactly(exactly):
+    """OpenCV's `remap` rounds coordinates to 1/32 px on pictures of two channels (flow), not on pictures of
+    one. With `exactly`, channels are looked up one by one; the text's bilinear look-up is meant."""
+
+    def by_channel(image, *rest, **options):
+        if image.ndim == 2:
+            return REMAP(image, *rest, **options)
+        channels = [REMAP(np.ascontiguousarray(image[..., k]), *rest, **options) for k in range(image.shape[2])]
+        return np.stack(channels, -1)
+
+    cv2.remap = by_channel if exactly else REMAP
 
 
 def read_frames(path, size, count):

@@ -108,7 +108,10 @@ impl Export {
             let px = |unit: i16| f32::from(unit) * unit_px;
             (shape, units.into_iter().map(px).collect())
         };
-        (shape, values.chunks_exact(2).map(|v| [v[0], v[1]]).collect())
+        (
+            shape,
+            values.chunks_exact(2).map(|v| [v[0], v[1]]).collect(),
+        )
     }
 
     fn is_f32(&mut self, name: &str) -> bool {
