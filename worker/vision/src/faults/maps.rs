@@ -7,7 +7,7 @@
 use super::params::{FaultParams, PERSISTENCE_PAIRS, WINDOW_FRAMES};
 use crate::consistency::{Evidence, NormalisedFrame};
 use crate::image::{Plane, box_mean};
-use crate::signals::median;
+use crate::signals::median_f32;
 
 /// Frames that a transition's detectors compare: before and after.
 pub(super) const TRANSITION_FRAMES: usize = 2 * WINDOW_FRAMES;
@@ -59,28 +59,49 @@ fn local_deviation(plane: &Plane, radius: usize) -> Vec<f64> {
     let (width, height) = (plane.width, plane.height);
     let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
     let taps = 2 * radius + 1;
-    let mut along_rows = Vec::with_capacity(plane.data.len());
-    for line in plane.data.chunks_exact(width) {
-        for near in columns.chunks_exact(taps) {
-            along_rows.push(near.iter().fold((0.0, 0.0), |(sum, squares), &column| {
-                let grey = f64::from(line[column]);
-                (sum + grey, squares + grey * grey)
-            }));
+    let count = (taps * taps) as f64;
+    let (mut sums, mut squares) = (vec![0.0; plane.data.len()], vec![0.0; plane.data.len()]);
+    // A row with its reflected ends, and its squares.
+    let (mut line, mut line_squares) = (Vec::new(), Vec::new());
+    let rows_of_sums = sums
+        .chunks_exact_mut(width)
+        .zip(squares.chunks_exact_mut(width));
+    for (from, (sums, squares)) in plane.data.chunks_exact(width).zip(rows_of_sums) {
+        line.clear();
+        let start = columns[..taps].iter().take(radius);
+        let end = columns[columns.len() - taps..].iter().skip(radius + 1);
+        line.extend(start.map(|&column| f64::from(from[column])));
+        line.extend(from.iter().map(|&grey| f64::from(grey)));
+        line.extend(end.map(|&column| f64::from(from[column])));
+        line_squares.clear();
+        line_squares.extend(line.iter().map(|grey| grey * grey));
+        for k in 0..taps {
+            add(sums, &line[k..]);
+            add(squares, &line_squares[k..]);
         }
     }
-    let count = (taps * taps) as f64;
     let mut deviation = Vec::with_capacity(plane.data.len());
+    let (mut sum, mut square) = (vec![0.0; width], vec![0.0; width]);
     for near in rows.chunks_exact(taps) {
-        for x in 0..width {
-            let (sum, squares) = near.iter().fold((0.0, 0.0), |(sum, squares), &row| {
-                let (row_sum, row_squares) = along_rows[row * width + x];
-                (sum + row_sum, squares + row_squares)
-            });
-            let mean = sum / count;
-            deviation.push((squares / count - mean * mean).max(0.0).sqrt());
+        sum.fill(0.0);
+        square.fill(0.0);
+        for &row in near {
+            add(&mut sum, &sums[row * width..]);
+            add(&mut square, &squares[row * width..]);
         }
+        deviation.extend(sum.iter().zip(&square).map(|(sum, square)| {
+            let mean = sum / count;
+            (square / count - mean * mean).max(0.0).sqrt()
+        }));
     }
     deviation
+}
+
+/// to[i] += from[i].
+fn add(to: &mut [f64], from: &[f64]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to += from;
+    }
 }
 
 /// For each position of an axis the indices of its box, those outside reflected about the border
@@ -147,8 +168,7 @@ pub(super) fn residual(evidence: &Evidence, params: &FaultParams) -> Plane {
 pub(super) fn drift_px(evidence: &Evidence, params: &FaultParams) -> [Plane; 2] {
     [0, 1].map(|axis| {
         let component = evidence.flow_px.iter().map(|flow| flow[axis]);
-        let mut all: Vec<f64> = component.clone().map(f64::from).collect();
-        let camera = median(&mut all).unwrap_or(0.0) as f32;
+        let camera = median_f32(component.clone()).unwrap_or(0.0) as f32;
         let raw = Plane {
             width: evidence.width,
             height: evidence.height,

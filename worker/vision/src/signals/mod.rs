@@ -13,6 +13,7 @@ mod piecewise;
 pub use piecewise::{PiecewiseParams, piecewise_residual};
 
 pub use median::median;
+pub(crate) use median::median_f32;
 
 use serde::{Deserialize, Serialize};
 
