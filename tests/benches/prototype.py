@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""CPU seconds of the Python prototype on one clip: decoding, flow and the signals that `plumbline score`
-computes at `standard`, each once, one thread.
+"""CPU seconds of the Python prototype on one clip: decoding, flow, the signals that `plumbline score`
+computes at `standard`, and motion models, one thread.
 
-    prototype.py measure PROTOTYPE CLIP...    prints clip,cpu_s,decode_s,flow_s,frames,kept for each
+    prototype.py measure PROTOTYPE CLIP...    prints clip,shared_s,own_s,decode_s,flow_s,frames for each
     prototype.py versions
 
-Flow is computed once per pair and direction and shared by all that read it, as in `plumbline`. Needs the
-packages of tests/parity/requirements.txt.
+shared_s: every signal once, flow once per pair and direction and shared by all that read it, as
+`plumbline` does: the prototype's functions cut down to that (tests/parity/prototype.py).
+own_s: the prototype's functions as they stand, script by script, each with the flow it computes itself.
+Needs the packages of tests/parity/requirements.txt.
 """
 
 import pathlib
@@ -45,10 +47,28 @@ def measure(proto, path):
     series += [prototype.appear_scores(clip), prototype.flicker_scores(clip), prototype.vanish_scores(clip)]
     series.append(prototype.grey_changes(clip.G))
     prototype.contact(proto, clip)
-    kept, *arc = prototype.constant_motion(proto, frames, clip)
+    _, *arc = prototype.constant_motion(proto, frames, clip)
+    proto.feat.rigid(clip, range(clip.n - 1))
     for values in series + arc[1:]:
         prototype.median(values)
-    return CLOCK() - start, decoded - start, spent[0], len(frames), len(kept)
+    return CLOCK() - start, decoded - start, spent[0], len(frames)
+
+
+def measure_scripts(proto, path):
+    """`feat.series`, `rigid` and `memory`, `detectors.sig3`, `lean2.work`, `arc.arc` and `lean.lean`."""
+    start = CLOCK()
+    frames = prototype.read_frames(path, 256, WHOLE_CLIP)
+    clip = proto.feat.Clip(frames[1:], flow=prototype.FLOW)
+    worldscore_errors(proto, clip)
+    proto.feat.series(clip)
+    proto.feat.rigid(clip, range(clip.n - 1))
+    proto.feat.memory(clip)
+    proto.detectors.sig3(clip)
+    prototype.vanish_scores(clip)
+    proto.lean2.D = [{"fr": frames[1:]}]
+    proto.lean2.work((0, (prototype.FLOW, "")))
+    proto.lean.lean([frames[i] for i in proto.arc.arc(frames)])
+    return CLOCK() - start
 
 
 def worldscore_errors(proto, clip):
@@ -71,8 +91,9 @@ def main():
     assert command == "measure", __doc__
     proto = prototype.load(folder)
     for clip in clips:
-        seconds = measure(proto, clip)
-        print(pathlib.Path(clip).name, *(f"{value:.4f}" for value in seconds[:3]), *seconds[3:], sep=",", flush=True)
+        shared, decode, flow, frames = measure(proto, clip)
+        seconds = [shared, measure_scripts(proto, clip), decode, flow]
+        print(pathlib.Path(clip).name, *(f"{value:.4f}" for value in seconds), frames, sep=",", flush=True)
 
 
 if __name__ == "__main__":
