@@ -7,6 +7,7 @@
 //! or an empty target gives an empty picture.
 
 use super::{Plane, Rgb8};
+use crate::flow::simd::{Kernel, dispatch};
 
 // Keys' parameter. −0.75 is OpenCV's choice; −0.5 would be third-order exact but softer.
 const CUBIC_A: f64 = -0.75;
@@ -20,31 +21,16 @@ pub fn resize_plane(source: &Plane, width: usize, height: usize) -> Plane {
     if (width, height) == (source.width, source.height) {
         return source.clone();
     }
-    let rows = Axis::new(source.height, height);
-    let columns = Axis::new(source.width, width);
-    let mut data = vec![0.0; width * height];
-    let mut blended = vec![0.0; source.width];
-    for (y, out) in data.chunks_exact_mut(width).enumerate() {
-        blended.fill(0.0);
-        for (row, weight) in rows.taps(y) {
-            let line = &source.data[row * source.width..][..source.width];
-            for (sum, &value) in blended.iter_mut().zip(line) {
-                *sum += weight * value;
-            }
-        }
-        if columns.is_halving {
-            halve(&blended, out);
-        } else {
-            columns.resample::<1>(&blended, |x, [value]| out[x] = value);
-        }
-    }
     Plane {
         width,
         height,
-        data,
+        data: dispatch(ResizePlane {
+            source,
+            rows: Axis::new(source.height, height),
+            columns: Axis::new(source.width, width),
+        }),
     }
 }
-
 /// Resizes an RGB picture; values are rounded to the nearest (ties to even) and clamped to 0..=255.
 #[must_use]
 pub fn resize_rgb(source: &Rgb8, width: usize, height: usize) -> Rgb8 {
@@ -58,34 +44,94 @@ pub fn resize_rgb(source: &Rgb8, width: usize, height: usize) -> Rgb8 {
     if (width, height) == (source.width, source.height) {
         return source.clone();
     }
-    let rows = Axis::new(source.height, height);
-    let columns = Axis::new(source.width, width);
-    let stride = source.width * 3;
-    let mut data = vec![0; width * height * 3];
-    let mut blended = vec![0.0; stride];
-    for (y, out) in data.chunks_exact_mut(width * 3).enumerate() {
-        blended.fill(0.0);
-        for (row, weight) in rows.taps(y) {
-            let line = &source.data[row * stride..][..stride];
-            for (sum, &value) in blended.iter_mut().zip(line) {
-                *sum += weight * f32::from(value);
-            }
-        }
-        columns.resample::<3>(&blended, |x, pixel: [f32; 3]| {
-            for (byte, value) in out[x * 3..].iter_mut().zip(pixel) {
-                // The cast saturates, which is the clamp.
-                *byte = value.round_ties_even() as u8;
-            }
-        });
-    }
     Rgb8 {
         width,
         height,
-        data,
+        data: dispatch(ResizeRgb {
+            source,
+            rows: Axis::new(source.height, height),
+            columns: Axis::new(source.width, width),
+        }),
+    }
+}
+struct ResizePlane<'a> {
+    source: &'a Plane,
+    rows: Axis,
+    columns: Axis,
+}
+
+impl Kernel for ResizePlane<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let Self {
+            source,
+            rows,
+            columns,
+        } = self;
+        let (width, height) = (columns.starts.len(), rows.starts.len());
+        let mut data = vec![0.0; width * height];
+        let mut blended = vec![0.0; source.width];
+        for (y, out) in data.chunks_exact_mut(width).enumerate() {
+            blended.fill(0.0);
+            for (row, weight) in rows.taps(y) {
+                let line = &source.data[row * source.width..][..source.width];
+                for (sum, &value) in blended.iter_mut().zip(line) {
+                    *sum += weight * value;
+                }
+            }
+            if columns.is_halving {
+                halve(&blended, out);
+            } else {
+                columns.resample::<1>(&blended, |x, [value]| out[x] = value);
+            }
+        }
+        data
+    }
+}
+
+struct ResizeRgb<'a> {
+    source: &'a Rgb8,
+    rows: Axis,
+    columns: Axis,
+}
+
+impl Kernel for ResizeRgb<'_> {
+    type Output = Vec<u8>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<u8> {
+        let Self {
+            source,
+            rows,
+            columns,
+        } = self;
+        let (width, height) = (columns.starts.len(), rows.starts.len());
+        let stride = source.width * 3;
+        let mut data = vec![0; width * height * 3];
+        let mut blended = vec![0.0; stride];
+        for (y, out) in data.chunks_exact_mut(width * 3).enumerate() {
+            blended.fill(0.0);
+            for (row, weight) in rows.taps(y) {
+                let line = &source.data[row * stride..][..stride];
+                for (sum, &value) in blended.iter_mut().zip(line) {
+                    *sum += weight * f32::from(value);
+                }
+            }
+            columns.resample::<3>(&blended, |x, pixel: [f32; 3]| {
+                for (byte, value) in out[x * 3..].iter_mut().zip(pixel) {
+                    // The cast saturates, which is the clamp.
+                    *byte = value.round_ties_even() as u8;
+                }
+            });
+        }
+        data
     }
 }
 
 /// The mean of two neighbours, as the taps of a halving axis have it.
+#[inline(always)]
 fn halve(line: &[f32], out: &mut [f32]) {
     for (mean, pair) in out.iter_mut().zip(line.chunks_exact(2)) {
         *mean = 0.5 * pair[0] + 0.5 * pair[1];
@@ -158,15 +204,18 @@ impl Axis {
         self.offsets.push(self.weights.len());
     }
 
+    #[inline(always)]
     fn weights(&self, position: usize) -> &[f32] {
         &self.weights[self.offsets[position]..self.offsets[position + 1]]
     }
 
+    #[inline(always)]
     fn taps(&self, position: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
         (self.starts[position]..).zip(self.weights(position).iter().copied())
     }
 
     /// Applies the axis to a line of interleaved pixels.
+    #[inline(always)]
     fn resample<const CHANNELS: usize>(
         &self,
         line: &[f32],

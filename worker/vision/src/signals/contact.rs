@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::faults::ChangePair;
 use crate::image::{Plane, Rgb8, gaussian_blur, resize_rgb};
 
+use super::erode::erode;
 use super::median_f32;
 
 /// Constants of the statistic.
@@ -330,20 +331,6 @@ impl Memory {
             channels.flat_map(|(now, then)| stayed.iter().map(move |&cell| now[cell] - then[cell]));
         median_f32(changes).unwrap_or(0.0) as f32
     }
-}
-
-/// Keeps cells whose box of `radius` holds only set cells; outside the grid does not matter.
-fn erode(mask: &[bool], width: usize, radius: usize) -> Vec<bool> {
-    let height = mask.len() / width.max(1);
-    let near = |position: usize, length: usize| {
-        position.saturating_sub(radius)..(position + radius + 1).min(length)
-    };
-    (0..mask.len())
-        .map(|cell| {
-            let (x, y) = (cell % width, cell / width);
-            near(y, height).all(|row| near(x, width).all(|column| mask[row * width + column]))
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 
 pub mod arc;
 pub mod contact;
+mod erode;
 mod median;
 mod piecewise;
 
