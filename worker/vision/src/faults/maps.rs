@@ -6,6 +6,7 @@
 
 use super::params::{FaultParams, PERSISTENCE_PAIRS, WINDOW_FRAMES};
 use crate::consistency::{Evidence, NormalisedFrame};
+use crate::flow::simd::{Kernel, dispatch};
 use crate::image::{Plane, box_mean};
 use crate::signals::median_f32;
 
@@ -37,8 +38,7 @@ pub(super) fn smoothed(frame: &NormalisedFrame, params: &FaultParams) -> Plane {
 
 /// step: box of relu(|median after − median before| − range before − range after), on smoothed N.
 pub(super) fn appear(frames: [&Plane; TRANSITION_FRAMES], params: &FaultParams) -> Plane {
-    let raw = combine(frames[0], |cell| {
-        let (before, after) = around(&frames, cell);
+    let raw = transition(frames, |before, after| {
         ((after.median - before.median).abs() - before.range - after.range).max(0.0)
     });
     box_mean(&raw, params.step_radius_cells)
@@ -137,9 +137,11 @@ pub(super) fn vanish(
     unquiet: [&Plane; 4],
     params: &FaultParams,
 ) -> Plane {
+    let losses = transition(textures, |before, after| {
+        before.median - after.median - before.range - after.range
+    });
     combine(textures[0], |cell| {
-        let (before, after) = around(&textures, cell);
-        let loss = before.median - after.median - before.range - after.range;
+        let loss = losses.data[cell];
         if loss <= 0.0 {
             return 0.0;
         }
@@ -218,6 +220,7 @@ struct Window {
 }
 
 impl Window {
+    #[inline(always)]
     fn of([a, b, c]: [f32; WINDOW_FRAMES]) -> Self {
         let (low, high) = (a.min(b), a.max(b));
         Self {
@@ -227,9 +230,34 @@ impl Window {
     }
 }
 
-fn around(frames: &[&Plane; TRANSITION_FRAMES], cell: usize) -> (Window, Window) {
-    let [a, b, c, d, e, f] = frames.map(|plane| plane.data[cell]);
-    (Window::of([a, b, c]), Window::of([d, e, f]))
+/// `judge(before, after)` of every cell over a transition's frames.
+fn transition(frames: [&Plane; TRANSITION_FRAMES], judge: impl Fn(Window, Window) -> f32) -> Plane {
+    Plane {
+        width: frames[0].width,
+        height: frames[0].height,
+        data: dispatch(Transition { frames, judge }),
+    }
+}
+
+struct Transition<'a, J> {
+    frames: [&'a Plane; TRANSITION_FRAMES],
+    judge: J,
+}
+
+impl<J: Fn(Window, Window) -> f32> Kernel for Transition<'_, J> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let [a, b, c, d, e, f] = self.frames.map(|plane| plane.data.iter());
+        let before = a.zip(b).zip(c);
+        let after = d.zip(e).zip(f);
+        let cells = before.zip(after);
+        let judged = cells.map(|(((&a, &b), &c), ((&d, &e), &f))| {
+            (self.judge)(Window::of([a, b, c]), Window::of([d, e, f]))
+        });
+        judged.collect()
+    }
 }
 
 /// A plane of `like`'s size with `value(cell)`.
@@ -238,5 +266,70 @@ fn combine(like: &Plane, value: impl Fn(usize) -> f32) -> Plane {
         width: like.width,
         height: like.height,
         data: (0..like.data.len()).map(value).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plane(width: usize, height: usize, seed: usize) -> Plane {
+        Plane::from_fn(width, height, |x, y| {
+            ((x * 37 + y * 91 + x * y * 7 + seed * 53) % 251) as f32 * 0.31 - 20.0
+        })
+    }
+
+    #[test]
+    fn transitions_in_whole_vectors_equal_sorted_windows() {
+        let planes: [Plane; TRANSITION_FRAMES] = std::array::from_fn(|seed| plane(37, 5, seed));
+        let judge = |before: Window, after: Window| {
+            (after.median - before.median).abs() - before.range - after.range
+        };
+        let judged = transition(planes.each_ref(), judge);
+        for (cell, &found) in judged.data.iter().enumerate() {
+            let window = |start: usize| {
+                let mut values = [0, 1, 2].map(|k| planes[start + k].data[cell]);
+                values.sort_by(f32::total_cmp);
+                (values[1], values[2] - values[0])
+            };
+            let (before, after) = (window(0), window(3));
+            let expected = (after.0 - before.0).abs() - before.1 - after.1;
+            assert_eq!(found.to_bits(), expected.to_bits());
+        }
+    }
+
+    #[test]
+    fn local_deviation_equals_the_sums_over_each_box() {
+        let radius = 3;
+        for (width, height) in [(1, 1), (2, 9), (5, 3), (40, 11)] {
+            let plane = plane(width, height, 0);
+            let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
+            let taps = 2 * radius + 1;
+            let count = (taps * taps) as f64;
+            let found = local_deviation(&plane, radius);
+            for (cell, &found) in found.iter().enumerate() {
+                let near = |indices: &[usize], place: usize| -> Vec<usize> {
+                    indices[place * taps..][..taps].to_vec()
+                };
+                let (mut sum, mut squares) = (0.0, 0.0);
+                for row in near(&rows, cell / width) {
+                    let (mut of_row, mut squares_of_row) = (0.0, 0.0);
+                    for column in near(&columns, cell % width) {
+                        let grey = f64::from(plane.data[row * width + column]);
+                        of_row += grey;
+                        squares_of_row += grey * grey;
+                    }
+                    sum += of_row;
+                    squares += squares_of_row;
+                }
+                let mean = sum / count;
+                let expected = (squares / count - mean * mean).max(0.0).sqrt();
+                assert_eq!(
+                    found.to_bits(),
+                    expected.to_bits(),
+                    "{width}x{height}: {cell}"
+                );
+            }
+        }
     }
 }
