@@ -31,14 +31,32 @@ run() {
     cargo nextest run --locked --workspace --no-fail-fast -E "$1"
 }
 
+# What the Python prototype finds on ten clips, where prototype and clips are at hand; made anew when one
+# of its inputs is newer.
+export_prototype() {
+    local shared=$root/../shared work=${CARGO_TARGET_DIR:-$root/target}/tmp
+    local out=$work/prototype venv=$work/prototype-venv
+    [ -d "$shared/prototype" ] && [ -d "$shared/data/rollouts" ] || return 0
+    [ ! -f "$out/done" ] || [ -n "$(find tests/parity "$shared/prototype" -type f -newer "$out/done")" ] || return 0
+    say "running the Python prototype on ten clips"
+    if ! "$venv/bin/python" -c 'import cv2' 2>/dev/null; then
+        apt_install python3-venv
+        python3 -m venv "$venv"
+    fi
+    "$venv/bin/pip" install --quiet --disable-pip-version-check -r tests/parity/requirements.txt
+    rm -f "$out/done"
+    "$venv/bin/python" -B tests/parity/export_prototype.py clips "$shared/prototype" "$shared/data/rollouts" "$out"
+    touch "$out/done"
+}
+
 cli='package(plumbline-tests)'
 parity='binary(/^parity/)'
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
     unit) lint; run "not ($cli) and not ($parity) and not ($numerics)" ;;
     cli) run "$cli" ;;
-    parity) run "$parity" ;;
+    parity) export_prototype; run "$parity" ;;
     numerics) run "$numerics" ;;
-    all) lint; run 'all()' ;;
+    all) lint; export_prototype; run 'all()' ;;
     *) echo "unknown suite $suite: unit, cli, parity or numerics" >&2; exit 2 ;;
 esac

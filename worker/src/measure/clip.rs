@@ -181,19 +181,36 @@ impl<'a> Clip<'a> {
         })
     }
 
+    /// Forward and backward flow between two frames.
+    fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<[Flow; 2], ClipError> {
+        let started = Instant::now();
+        let error = at("flow", later.index);
+        let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
+        let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+        self.spent.flow += started.elapsed();
+        Ok([forward, backward])
+    }
+
+    /// The evidence of a step of constant motion, earlier → later, where there is no edge.
+    fn step_evidence(
+        &mut self,
+        earlier: &Prepared,
+        later: &Prepared,
+    ) -> Result<Evidence, ClipError> {
+        let flows = self.flows(earlier, later)?;
+        let started = Instant::now();
+        let params = &self.profile.consistency;
+        let error = at("consistency", later.index);
+        let [ahead, back] = flows.map(|flow| GridFlow::new(&flow, params).map_err(&error));
+        let (first, second) = (&earlier.normalised, &later.normalised);
+        let evidence = Evidence::new(&ahead?, &back?, first, second, params).map_err(&error);
+        self.spent.signals += started.elapsed();
+        evidence
+    }
+
     /// Both flows between two frames, and the evidence on them.
     fn edge(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Edge, ClipError> {
-        let started = Instant::now();
-        let flow_error = at("flow", later.index);
-        let forward = self
-            .dis
-            .flow(&earlier.dis, &later.dis)
-            .map_err(&flow_error)?;
-        let backward = self
-            .dis
-            .flow(&later.dis, &earlier.dis)
-            .map_err(&flow_error)?;
-        self.spent.flow += started.elapsed();
+        let [forward, backward] = self.flows(earlier, later)?;
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
@@ -235,7 +252,7 @@ impl<'a> Clip<'a> {
                 None => None,
                 Some(kept) => Some(match find(kept.index) {
                     Some(edge) => edge.change.forward.clone(),
-                    None => self.edge(kept, current)?.change.forward,
+                    None => self.step_evidence(kept, current)?,
                 }),
             };
             observers.step(Rc::clone(current), evidence)?;

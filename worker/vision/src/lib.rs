@@ -3,6 +3,7 @@
 //! Pure: slices and structs in, values out. No queue, store, clock or runtime is known here.
 
 pub mod consistency;
+mod exp;
 pub mod faults;
 pub mod flow;
 pub mod image;

@@ -5,6 +5,7 @@
 //! `occluded_fraction` says how many in-frame pixels fail the usual test (Sundaram, Brox, Keutzer
 //! 2010). Full working grid, `[H, W]`; unit: pixels of a picture `reference_height_px` high.
 
+use super::look_up::{LookUpRow, mix};
 use super::{
     ConsistencyError, ConsistencyParams, MAX_FLOW_PX, check_pair, check_values, squared_norm,
 };
@@ -76,13 +77,13 @@ impl Kernel for Measurement<'_> {
         let mut error_px = vec![None; self.forward.data.len()];
         let rows = self.forward.data.chunks_exact(width);
         for (y, (ahead, out)) in rows.zip(error_px.chunks_exact_mut(width)).enumerate() {
-            row.locate(ahead, y, height);
-            row.gather(self.backward);
+            row.to.locate(ahead, [1.0; 2], y, height);
+            row.to.gather(&self.backward.data, &mut row.around);
             row.compare(ahead, scale, self.params);
             let pixels = out
                 .iter_mut()
                 .zip(&row.error)
-                .zip(&row.inside)
+                .zip(&row.to.inside)
                 .zip(&row.apart);
             for (((out, &error), &inside), &apart) in pixels {
                 if inside {
@@ -108,15 +109,7 @@ impl Kernel for Measurement<'_> {
 /// What is known of one row of pixels, plane by plane; where a pixel leaves the frame, the nearest
 /// point of the frame stands in.
 struct Row {
-    inside: Vec<bool>,
-    /// Column and row of the vector up left of the end point.
-    left: Vec<u32>,
-    top: Vec<u32>,
-    /// Steps to the right and lower vectors: 1, or 0 at the far edges.
-    right: Vec<u32>,
-    below: Vec<u32>,
-    fraction_x: Vec<f32>,
-    fraction_y: Vec<f32>,
+    to: LookUpRow,
     /// Backward vectors: top left, top right, bottom left, bottom right.
     around: [Vec<[f32; 2]>; 4],
     error: Vec<f32>,
@@ -127,64 +120,10 @@ struct Row {
 impl Row {
     fn new(width: usize) -> Self {
         Self {
-            inside: vec![false; width],
-            left: vec![0; width],
-            top: vec![0; width],
-            right: vec![0; width],
-            below: vec![0; width],
-            fraction_x: vec![0.0; width],
-            fraction_y: vec![0.0; width],
+            to: LookUpRow::new(width),
             around: std::array::from_fn(|_| vec![[0.0; 2]; width]),
             error: vec![0.0; width],
             apart: vec![false; width],
-        }
-    }
-
-    /// Same arithmetic as [`Bilinear`](crate::image::Bilinear).
-    #[inline(always)]
-    fn locate(&mut self, ahead: &[[f32; 2]], y: usize, height: usize) {
-        let width = ahead.len();
-        let (last_x, last_y) = ((width - 1) as f32, (height - 1) as f32);
-        let y = y as f32;
-        let inside_row = &mut self.inside[..width];
-        let left_row = &mut self.left[..width];
-        let top_row = &mut self.top[..width];
-        let right = &mut self.right[..width];
-        let below = &mut self.below[..width];
-        let (last_column, last_row) = (width as u32 - 1, height as u32 - 1);
-        let fraction_x = &mut self.fraction_x[..width];
-        let fraction_y = &mut self.fraction_y[..width];
-        for x in 0..width {
-            let [u, v] = ahead[x];
-            // Through i32, which converts in one instruction; no frame is 2^31 wide.
-            let (to_x, to_y) = (x as i32 as f32 + u, y + v);
-            inside_row[x] = (to_x >= 0.0) & (to_x <= last_x) & (to_y >= 0.0) & (to_y <= last_y);
-            let (to_x, to_y) = (to_x.max(0.0).min(last_x), to_y.max(0.0).min(last_y));
-            let (left, top) = (to_x.floor(), to_y.floor());
-            left_row[x] = whole(left).min(last_column);
-            top_row[x] = whole(top).min(last_row);
-            right[x] = u32::from(left_row[x] < last_column);
-            below[x] = u32::from(top_row[x] < last_row);
-            fraction_x[x] = to_x - left;
-            fraction_y[x] = to_y - top;
-        }
-    }
-
-    #[inline(always)]
-    fn gather(&mut self, backward: &Flow) {
-        let [a, b, c, d] = &mut self.around;
-        let width = backward.width;
-        let corners = self.left.iter().zip(&self.top);
-        let steps = self.right.iter().zip(&self.below);
-        let around = a.iter_mut().zip(b).zip(c).zip(d);
-        for (((&left, &top), (&right, &below)), (((a, b), c), d)) in corners.zip(steps).zip(around)
-        {
-            let (right, below) = (right as usize, below as usize * width);
-            let from = &backward.data[top as usize * width + left as usize..];
-            *a = from[0];
-            *b = from[right];
-            *c = from[below];
-            *d = from[below + right];
         }
     }
 
@@ -193,8 +132,8 @@ impl Row {
         let width = ahead.len();
         let [a, b, c, d] = &self.around;
         let (a, b, c, d) = (&a[..width], &b[..width], &c[..width], &d[..width]);
-        let fraction_x = &self.fraction_x[..width];
-        let fraction_y = &self.fraction_y[..width];
+        let fraction_x = &self.to.fraction_x[..width];
+        let fraction_y = &self.to.fraction_y[..width];
         let error = &mut self.error[..width];
         let apart = &mut self.apart[..width];
         for x in 0..width {
@@ -209,23 +148,6 @@ impl Row {
     }
 }
 
-/// The integer that a whole number below 2^23 is; no frame is that wide. Its bits lie in the mantissa
-/// once 2^23 is added, and unlike Rust's saturating casts this is done in whole vectors.
-#[inline(always)]
-fn whole(value: f32) -> u32 {
-    const MANTISSA_BITS: u32 = 23;
-    let shifted = value + (1u32 << MANTISSA_BITS) as f32;
-    shifted.to_bits() & ((1 << MANTISSA_BITS) - 1)
-}
-
-/// Between the top and bottom pairs, then between those.
-#[inline(always)]
-fn mix([a, b, c, d]: [f32; 4], fraction_x: f32, fraction_y: f32) -> f32 {
-    let top = a + fraction_x * (b - a);
-    let bottom = c + fraction_x * (d - c);
-    top + fraction_y * (bottom - top)
-}
-
 /// Whether `check_values` would accept; without branches, so that it is done in whole vectors.
 fn all_plausible(flow: &Flow) -> bool {
     let plausible =
@@ -238,7 +160,7 @@ fn all_plausible(flow: &Flow) -> bool {
 }
 
 /// Whether a point lies between the outermost pixel centres.
-#[inline]
+#[cfg(test)]
 pub(super) fn inside(x: f32, y: f32, width: usize, height: usize) -> bool {
     x >= 0.0 && x <= (width - 1) as f32 && y >= 0.0 && y <= (height - 1) as f32
 }

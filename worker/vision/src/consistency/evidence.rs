@@ -7,10 +7,14 @@
 //! r = min(|Nₐ − N_b(x + F)|, 3), with N the locally normalised frame. Look-ups are bilinear with
 //! clamped borders.
 
-use super::end_point::inside;
+use std::ops::Range;
+
+use super::look_up::{LookUpRow, mix};
 use super::{ConsistencyError, ConsistencyParams, check_length, check_values, squared_norm};
+use crate::exp::one_minus_exp_of_minus;
 use crate::flow::Flow;
-use crate::image::{Bilinear, ImageError, Plane, box_mean, gaussian_blur, resize_plane};
+use crate::flow::simd::{Kernel, dispatch};
+use crate::image::{ImageError, Plane, box_mean, gaussian_blur, resize_plane};
 
 /// A flow on the evidence grid.
 #[derive(Debug, Clone, PartialEq)]
@@ -152,62 +156,14 @@ impl Evidence {
         params.validate()?;
         let (width, height) = (forward.width, forward.height);
         check_grids(forward, backward, first, second)?;
-        let cells = width * height;
-        let mut evidence = Self {
-            width,
-            height,
-            cells_per_px: forward.cells_per_px,
-            flow_px: forward.flow_px.clone(),
-            speed_px: Vec::with_capacity(cells),
-            error_px: Vec::with_capacity(cells),
-            rho: Vec::with_capacity(cells),
-            appearance: Vec::with_capacity(cells),
-            in_frame: Vec::with_capacity(cells),
-            counted: Vec::with_capacity(cells),
-            appearance_scale: params.appearance_scale,
-        };
-        for y in 0..height {
-            for x in 0..width {
-                evidence.push_cell(x, y, backward, first, second, params);
-            }
-        }
-        Ok(evidence)
-    }
-
-    fn push_cell(
-        &mut self,
-        x: usize,
-        y: usize,
-        backward: &GridFlow,
-        first: &NormalisedFrame,
-        second: &NormalisedFrame,
-        params: &ConsistencyParams,
-    ) {
-        let (width, height) = (self.width, self.height);
-        let index = y * width + x;
-        let [u, v] = self.flow_px[index];
-        let to_x = x as f32 + u * self.cells_per_px[0];
-        let to_y = y as f32 + v * self.cells_per_px[1];
-        let at = Bilinear::at(to_x, to_y, width, height);
-        let [a, b, c, d] = at.indices.map(|index| backward.flow_px[index]);
-        let back = [
-            at.mix(a[0], b[0], c[0], d[0]),
-            at.mix(a[1], b[1], c[1], d[1]),
-        ];
-        let squared = squared_norm([u + back[0], v + back[1]]);
-        let moved = second.normalised.bilinear(at);
-        let difference = (first.normalised.data[index] - moved).abs();
-        let in_frame = inside(to_x, to_y, width, height);
-        let margin = params.margin_cells;
-        let central = (margin..width.saturating_sub(margin)).contains(&x)
-            && (margin..height.saturating_sub(margin)).contains(&y);
-        self.speed_px.push(squared_norm([u, v]).sqrt());
-        self.error_px.push(squared.sqrt());
-        self.rho.push(params.rho(squared, [u, v], back));
-        self.appearance
-            .push(difference.min(params.appearance_limit));
-        self.in_frame.push(in_frame);
-        self.counted.push(in_frame && central);
+        Ok(dispatch(Comparison {
+            forward,
+            backward,
+            first: &first.normalised.data,
+            second: &second.normalised.data,
+            size: (width, height),
+            params,
+        }))
     }
 
     /// Counted, and forward and backward flow agree.
@@ -220,34 +176,146 @@ impl Evidence {
     /// q = box₃(1 − exp(−ρ − (r / scale)²)), 0 out of frame: change of motion or appearance, 0..=1.
     #[must_use]
     pub fn change_map(&self) -> Plane {
-        self.map(|index| self.rho[index] + self.appearance_exponent(index))
+        self.map(true)
     }
 
     /// The same from appearance alone, q_r = box₃(1 − exp(−(r / scale)²)).
     #[must_use]
     pub fn appearance_change_map(&self) -> Plane {
-        self.map(|index| self.appearance_exponent(index))
+        self.map(false)
     }
 
-    fn appearance_exponent(&self, index: usize) -> f32 {
-        let ratio = self.appearance[index] / self.appearance_scale;
-        ratio * ratio
-    }
-
-    fn map(&self, exponent: impl Fn(usize) -> f32) -> Plane {
-        let change = |index: usize| {
-            if self.in_frame[index] {
-                -libm::expm1f(-exponent(index))
-            } else {
-                0.0
-            }
-        };
+    fn map(&self, reads_flow: bool) -> Plane {
         let raw = Plane {
             width: self.width,
             height: self.height,
-            data: (0..self.rho.len()).map(change).collect(),
+            data: dispatch(ChangeMap {
+                evidence: self,
+                reads_flow,
+            }),
         };
         box_mean(&raw, 1)
+    }
+}
+
+/// The evidence of one direction, row by row in whole vectors.
+struct Comparison<'a> {
+    forward: &'a GridFlow,
+    backward: &'a GridFlow,
+    first: &'a [f32],
+    second: &'a [f32],
+    size: (usize, usize),
+    params: &'a ConsistencyParams,
+}
+
+impl Kernel for Comparison<'_> {
+    type Output = Evidence;
+
+    #[inline(always)]
+    fn run(self) -> Evidence {
+        let (width, height) = self.size;
+        let cells = width * height;
+        let mut evidence = Evidence {
+            width,
+            height,
+            cells_per_px: self.forward.cells_per_px,
+            flow_px: self.forward.flow_px.clone(),
+            speed_px: vec![0.0; cells],
+            error_px: vec![0.0; cells],
+            rho: vec![0.0; cells],
+            appearance: vec![0.0; cells],
+            in_frame: vec![false; cells],
+            counted: vec![false; cells],
+            appearance_scale: self.params.appearance_scale,
+        };
+        let margin = self.params.margin_cells;
+        let columns = margin.min(width)..width.saturating_sub(margin).max(margin.min(width));
+        let rows = margin..height.saturating_sub(margin);
+        let mut to = LookUpRow::new(width);
+        let mut back = std::array::from_fn(|_| vec![[0.0; 2]; width]);
+        let mut moved = std::array::from_fn(|_| vec![0.0; width]);
+        for y in 0..height {
+            let row = y * width..(y + 1) * width;
+            let ahead = &self.forward.flow_px[row.clone()];
+            to.locate(ahead, self.forward.cells_per_px, y, height);
+            to.gather(&self.backward.flow_px, &mut back);
+            to.gather(self.second, &mut moved);
+            self.compare(&to, ahead, &back, &moved, row.clone(), &mut evidence);
+            let counted = &mut evidence.counted[row];
+            if rows.contains(&y) {
+                counted[columns.clone()].copy_from_slice(&to.inside[columns.clone()]);
+            }
+        }
+        evidence
+    }
+}
+
+impl Comparison<'_> {
+    #[inline(always)]
+    fn compare(
+        &self,
+        to: &LookUpRow,
+        ahead: &[[f32; 2]],
+        back: &[Vec<[f32; 2]>; 4],
+        moved: &[Vec<f32>; 4],
+        row: Range<usize>,
+        evidence: &mut Evidence,
+    ) {
+        let width = ahead.len();
+        let [a, b, c, d] = back;
+        let (a, b, c, d) = (&a[..width], &b[..width], &c[..width], &d[..width]);
+        let [p, q, r, s] = moved;
+        let (p, q, r, s) = (&p[..width], &q[..width], &r[..width], &s[..width]);
+        let fraction_x = &to.fraction_x[..width];
+        let fraction_y = &to.fraction_y[..width];
+        let here = &self.first[row.clone()][..width];
+        let speed = &mut evidence.speed_px[row.clone()][..width];
+        let error = &mut evidence.error_px[row.clone()][..width];
+        let rho = &mut evidence.rho[row.clone()][..width];
+        let appearance = &mut evidence.appearance[row.clone()][..width];
+        for x in 0..width {
+            let (fx, fy) = (fraction_x[x], fraction_y[x]);
+            let back = [0, 1].map(|k| mix([a[x][k], b[x][k], c[x][k], d[x][k]], fx, fy));
+            let [u, v] = ahead[x];
+            let squared = squared_norm([u + back[0], v + back[1]]);
+            speed[x] = squared_norm([u, v]).sqrt();
+            error[x] = squared.sqrt();
+            rho[x] = self.params.rho(squared, [u, v], back);
+            let difference = (here[x] - mix([p[x], q[x], r[x], s[x]], fx, fy)).abs();
+            appearance[x] = difference.min(self.params.appearance_limit);
+        }
+        evidence.in_frame[row].copy_from_slice(&to.inside);
+    }
+}
+
+/// 1 − exp(−exponent) per cell, 0 out of frame; the exponent is (r / scale)², and ρ where flow is read.
+struct ChangeMap<'a> {
+    evidence: &'a Evidence,
+    reads_flow: bool,
+}
+
+impl Kernel for ChangeMap<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let Evidence {
+            rho,
+            appearance,
+            in_frame,
+            appearance_scale,
+            ..
+        } = self.evidence;
+        let cells = rho.len();
+        let (rho, appearance, in_frame) = (&rho[..], &appearance[..cells], &in_frame[..cells]);
+        let mut change = vec![0.0; cells];
+        for cell in 0..cells {
+            let ratio = appearance[cell] / appearance_scale;
+            let flow = if self.reads_flow { rho[cell] } else { 0.0 };
+            let share = one_minus_exp_of_minus(flow + ratio * ratio);
+            change[cell] = if in_frame[cell] { share } else { 0.0 };
+        }
+        change
     }
 }
 

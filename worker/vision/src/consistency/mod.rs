@@ -7,6 +7,7 @@
 
 mod end_point;
 mod evidence;
+mod look_up;
 mod worldscore;
 
 pub use end_point::EndPointError;

@@ -8,6 +8,7 @@
 
 use super::{ConsistencyError, ConsistencyParams, check_pair};
 use crate::flow::Flow;
+use crate::flow::simd::{Kernel, dispatch};
 
 /// Rows and columns cut away, both sides together.
 const CROP_PX: usize = 30;
@@ -45,35 +46,50 @@ impl WorldscoreEpe {
 /// [`ConsistencyError`] when the flows differ in size or are incomplete.
 pub fn worldscore_epe(forward: &Flow, backward: &Flow) -> Result<WorldscoreEpe, ConsistencyError> {
     check_pair(forward, backward)?;
-    let width = forward.width.saturating_sub(CROP_PX);
-    let height = forward.height.saturating_sub(CROP_PX);
-    let at = |flow: &Flow, x: usize, y: usize| {
-        let [u, v] = flow.data[(y + CROP_PX / 2) * flow.width + x + CROP_PX / 2];
-        [f64::from(u), f64::from(v)]
-    };
-    let mut errors_px = Vec::with_capacity(width * height);
-    for y in 0..height {
-        for x in 0..width {
-            let [u, v] = at(forward, x, y);
-            let end = [x as f64 + u, y as f64 + v];
-            let [back_u, back_v] = at(
-                backward,
-                clipped_index(end[0], width),
-                clipped_index(end[1], height),
-            );
-            let dx = end[0] + back_u - x as f64;
-            let dy = end[1] + back_v - y as f64;
-            errors_px.push((dx * dx + dy * dy).sqrt());
+    Ok(dispatch(Measurement { forward, backward }))
+}
+
+struct Measurement<'a> {
+    forward: &'a Flow,
+    backward: &'a Flow,
+}
+
+impl Kernel for Measurement<'_> {
+    type Output = WorldscoreEpe;
+
+    #[inline(always)]
+    fn run(self) -> WorldscoreEpe {
+        let Self { forward, backward } = self;
+        let width = forward.width.saturating_sub(CROP_PX);
+        let height = forward.height.saturating_sub(CROP_PX);
+        let at = |flow: &Flow, x: usize, y: usize| {
+            let [u, v] = flow.data[(y + CROP_PX / 2) * flow.width + x + CROP_PX / 2];
+            [f64::from(u), f64::from(v)]
+        };
+        let mut errors_px = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for x in 0..width {
+                let [u, v] = at(forward, x, y);
+                let end = [x as f64 + u, y as f64 + v];
+                let [back_u, back_v] = at(
+                    backward,
+                    clipped_index(end[0], width),
+                    clipped_index(end[1], height),
+                );
+                let dx = end[0] + back_u - x as f64;
+                let dy = end[1] + back_v - y as f64;
+                errors_px.push((dx * dx + dy * dy).sqrt());
+            }
+        }
+        let average = numpy_sum(&errors_px) / errors_px.len() as f64;
+        let failure_mask: Vec<bool> = errors_px.iter().map(|&error| error > FAILURE_PX).collect();
+        WorldscoreEpe {
+            average_px: average.is_finite().then_some(average),
+            failure_count: failure_mask.iter().filter(|&&failed| failed).count(),
+            failure_mask,
+            flow_height: forward.height,
         }
     }
-    let average = numpy_sum(&errors_px) / errors_px.len() as f64;
-    let failure_mask: Vec<bool> = errors_px.iter().map(|&error| error > FAILURE_PX).collect();
-    Ok(WorldscoreEpe {
-        average_px: average.is_finite().then_some(average),
-        failure_count: failure_mask.iter().filter(|&&failed| failed).count(),
-        failure_mask,
-        flow_height: forward.height,
-    })
 }
 
 /// The sum of contiguous f64 values in the order of NumPy's `add.reduce` (`pairwise_sum` of its
@@ -103,6 +119,7 @@ fn numpy_sum(values: &[f64]) -> f64 {
 
 /// Rounds half-to-even and clips to `0..length`. NaN, infinities and values beyond i64 become index
 /// 0, as the x86 conversion that the reference relies on (INT64_MIN, then clipped) has it.
+#[inline(always)]
 fn clipped_index(position: f64, length: usize) -> usize {
     let rounded = position.round_ties_even();
     if rounded.is_nan() || rounded.abs() >= I64_RANGE {

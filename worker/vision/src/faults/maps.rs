@@ -6,8 +6,9 @@
 
 use super::params::{FaultParams, PERSISTENCE_PAIRS, WINDOW_FRAMES};
 use crate::consistency::{Evidence, NormalisedFrame};
+use crate::flow::simd::{Kernel, dispatch};
 use crate::image::{Plane, box_mean};
-use crate::signals::median;
+use crate::signals::median_f32;
 
 /// Frames that a transition's detectors compare: before and after.
 pub(super) const TRANSITION_FRAMES: usize = 2 * WINDOW_FRAMES;
@@ -37,8 +38,7 @@ pub(super) fn smoothed(frame: &NormalisedFrame, params: &FaultParams) -> Plane {
 
 /// step: box of relu(|median after − median before| − range before − range after), on smoothed N.
 pub(super) fn appear(frames: [&Plane; TRANSITION_FRAMES], params: &FaultParams) -> Plane {
-    let raw = combine(frames[0], |cell| {
-        let (before, after) = around(&frames, cell);
+    let raw = transition(frames, |before, after| {
         ((after.median - before.median).abs() - before.range - after.range).max(0.0)
     });
     box_mean(&raw, params.step_radius_cells)
@@ -59,28 +59,49 @@ fn local_deviation(plane: &Plane, radius: usize) -> Vec<f64> {
     let (width, height) = (plane.width, plane.height);
     let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
     let taps = 2 * radius + 1;
-    let mut along_rows = Vec::with_capacity(plane.data.len());
-    for line in plane.data.chunks_exact(width) {
-        for near in columns.chunks_exact(taps) {
-            along_rows.push(near.iter().fold((0.0, 0.0), |(sum, squares), &column| {
-                let grey = f64::from(line[column]);
-                (sum + grey, squares + grey * grey)
-            }));
+    let count = (taps * taps) as f64;
+    let (mut sums, mut squares) = (vec![0.0; plane.data.len()], vec![0.0; plane.data.len()]);
+    // A row with its reflected ends, and its squares.
+    let (mut line, mut line_squares) = (Vec::new(), Vec::new());
+    let rows_of_sums = sums
+        .chunks_exact_mut(width)
+        .zip(squares.chunks_exact_mut(width));
+    for (from, (sums, squares)) in plane.data.chunks_exact(width).zip(rows_of_sums) {
+        line.clear();
+        let start = columns[..taps].iter().take(radius);
+        let end = columns[columns.len() - taps..].iter().skip(radius + 1);
+        line.extend(start.map(|&column| f64::from(from[column])));
+        line.extend(from.iter().map(|&grey| f64::from(grey)));
+        line.extend(end.map(|&column| f64::from(from[column])));
+        line_squares.clear();
+        line_squares.extend(line.iter().map(|grey| grey * grey));
+        for k in 0..taps {
+            add(sums, &line[k..]);
+            add(squares, &line_squares[k..]);
         }
     }
-    let count = (taps * taps) as f64;
     let mut deviation = Vec::with_capacity(plane.data.len());
+    let (mut sum, mut square) = (vec![0.0; width], vec![0.0; width]);
     for near in rows.chunks_exact(taps) {
-        for x in 0..width {
-            let (sum, squares) = near.iter().fold((0.0, 0.0), |(sum, squares), &row| {
-                let (row_sum, row_squares) = along_rows[row * width + x];
-                (sum + row_sum, squares + row_squares)
-            });
-            let mean = sum / count;
-            deviation.push((squares / count - mean * mean).max(0.0).sqrt());
+        sum.fill(0.0);
+        square.fill(0.0);
+        for &row in near {
+            add(&mut sum, &sums[row * width..]);
+            add(&mut square, &squares[row * width..]);
         }
+        deviation.extend(sum.iter().zip(&square).map(|(sum, square)| {
+            let mean = sum / count;
+            (square / count - mean * mean).max(0.0).sqrt()
+        }));
     }
     deviation
+}
+
+/// to[i] += from[i].
+fn add(to: &mut [f64], from: &[f64]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to += from;
+    }
 }
 
 /// For each position of an axis the indices of its box, those outside reflected about the border
@@ -116,9 +137,11 @@ pub(super) fn vanish(
     unquiet: [&Plane; 4],
     params: &FaultParams,
 ) -> Plane {
+    let losses = transition(textures, |before, after| {
+        before.median - after.median - before.range - after.range
+    });
     combine(textures[0], |cell| {
-        let (before, after) = around(&textures, cell);
-        let loss = before.median - after.median - before.range - after.range;
+        let loss = losses.data[cell];
         if loss <= 0.0 {
             return 0.0;
         }
@@ -147,8 +170,7 @@ pub(super) fn residual(evidence: &Evidence, params: &FaultParams) -> Plane {
 pub(super) fn drift_px(evidence: &Evidence, params: &FaultParams) -> [Plane; 2] {
     [0, 1].map(|axis| {
         let component = evidence.flow_px.iter().map(|flow| flow[axis]);
-        let mut all: Vec<f64> = component.clone().map(f64::from).collect();
-        let camera = median(&mut all).unwrap_or(0.0) as f32;
+        let camera = median_f32(component.clone()).unwrap_or(0.0) as f32;
         let raw = Plane {
             width: evidence.width,
             height: evidence.height,
@@ -198,6 +220,7 @@ struct Window {
 }
 
 impl Window {
+    #[inline(always)]
     fn of([a, b, c]: [f32; WINDOW_FRAMES]) -> Self {
         let (low, high) = (a.min(b), a.max(b));
         Self {
@@ -207,9 +230,34 @@ impl Window {
     }
 }
 
-fn around(frames: &[&Plane; TRANSITION_FRAMES], cell: usize) -> (Window, Window) {
-    let [a, b, c, d, e, f] = frames.map(|plane| plane.data[cell]);
-    (Window::of([a, b, c]), Window::of([d, e, f]))
+/// `judge(before, after)` of every cell over a transition's frames.
+fn transition(frames: [&Plane; TRANSITION_FRAMES], judge: impl Fn(Window, Window) -> f32) -> Plane {
+    Plane {
+        width: frames[0].width,
+        height: frames[0].height,
+        data: dispatch(Transition { frames, judge }),
+    }
+}
+
+struct Transition<'a, J> {
+    frames: [&'a Plane; TRANSITION_FRAMES],
+    judge: J,
+}
+
+impl<J: Fn(Window, Window) -> f32> Kernel for Transition<'_, J> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let [a, b, c, d, e, f] = self.frames.map(|plane| plane.data.iter());
+        let before = a.zip(b).zip(c);
+        let after = d.zip(e).zip(f);
+        let cells = before.zip(after);
+        let judged = cells.map(|(((&a, &b), &c), ((&d, &e), &f))| {
+            (self.judge)(Window::of([a, b, c]), Window::of([d, e, f]))
+        });
+        judged.collect()
+    }
 }
 
 /// A plane of `like`'s size with `value(cell)`.
@@ -218,5 +266,70 @@ fn combine(like: &Plane, value: impl Fn(usize) -> f32) -> Plane {
         width: like.width,
         height: like.height,
         data: (0..like.data.len()).map(value).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plane(width: usize, height: usize, seed: usize) -> Plane {
+        Plane::from_fn(width, height, |x, y| {
+            ((x * 37 + y * 91 + x * y * 7 + seed * 53) % 251) as f32 * 0.31 - 20.0
+        })
+    }
+
+    #[test]
+    fn transitions_in_whole_vectors_equal_sorted_windows() {
+        let planes: [Plane; TRANSITION_FRAMES] = std::array::from_fn(|seed| plane(37, 5, seed));
+        let judge = |before: Window, after: Window| {
+            (after.median - before.median).abs() - before.range - after.range
+        };
+        let judged = transition(planes.each_ref(), judge);
+        for (cell, &found) in judged.data.iter().enumerate() {
+            let window = |start: usize| {
+                let mut values = [0, 1, 2].map(|k| planes[start + k].data[cell]);
+                values.sort_by(f32::total_cmp);
+                (values[1], values[2] - values[0])
+            };
+            let (before, after) = (window(0), window(3));
+            let expected = (after.0 - before.0).abs() - before.1 - after.1;
+            assert_eq!(found.to_bits(), expected.to_bits());
+        }
+    }
+
+    #[test]
+    fn local_deviation_equals_the_sums_over_each_box() {
+        let radius = 3;
+        for (width, height) in [(1, 1), (2, 9), (5, 3), (40, 11)] {
+            let plane = plane(width, height, 0);
+            let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
+            let taps = 2 * radius + 1;
+            let count = (taps * taps) as f64;
+            let found = local_deviation(&plane, radius);
+            for (cell, &found) in found.iter().enumerate() {
+                let near = |indices: &[usize], place: usize| -> Vec<usize> {
+                    indices[place * taps..][..taps].to_vec()
+                };
+                let (mut sum, mut squares) = (0.0, 0.0);
+                for row in near(&rows, cell / width) {
+                    let (mut of_row, mut squares_of_row) = (0.0, 0.0);
+                    for column in near(&columns, cell % width) {
+                        let grey = f64::from(plane.data[row * width + column]);
+                        of_row += grey;
+                        squares_of_row += grey * grey;
+                    }
+                    sum += of_row;
+                    squares += squares_of_row;
+                }
+                let mean = sum / count;
+                let expected = (squares / count - mean * mean).max(0.0).sqrt();
+                assert_eq!(
+                    found.to_bits(),
+                    expected.to_bits(),
+                    "{width}x{height}: {cell}"
+                );
+            }
+        }
     }
 }

@@ -32,6 +32,15 @@ fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
 }
 
+/// The integer that a whole number below 2^23 is; no frame is that wide. Its bits lie in the mantissa
+/// once 2^23 is added, and unlike Rust's saturating casts this is done in whole vectors.
+#[inline(always)]
+pub(crate) fn whole(value: f32) -> u32 {
+    const MANTISSA_BITS: u32 = 23;
+    let shifted = value + (1u32 << MANTISSA_BITS) as f32;
+    shifted.to_bits() & ((1 << MANTISSA_BITS) - 1)
+}
+
 /// Values per [`Lanes`].
 pub(crate) const LANES: usize = 8;
 

@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use crate::faults::ChangePair;
 use crate::image::{Plane, Rgb8, gaussian_blur, resize_rgb};
 
-use super::median;
+use super::erode::erode;
+use super::median_f32;
 
 /// Constants of the statistic.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -325,26 +326,11 @@ impl Memory {
         if stayed.len() <= params.shift_min_cells {
             return 0.0;
         }
-        let mut changes: Vec<f64> = Vec::with_capacity(3 * stayed.len());
-        for (now, then) in colour.iter().zip(&self.colour) {
-            changes.extend(stayed.iter().map(|&cell| f64::from(now[cell] - then[cell])));
-        }
-        median(&mut changes).unwrap_or(0.0) as f32
+        let channels = colour.iter().zip(&self.colour);
+        let changes =
+            channels.flat_map(|(now, then)| stayed.iter().map(move |&cell| now[cell] - then[cell]));
+        median_f32(changes).unwrap_or(0.0) as f32
     }
-}
-
-/// Keeps cells whose box of `radius` holds only set cells; outside the grid does not matter.
-fn erode(mask: &[bool], width: usize, radius: usize) -> Vec<bool> {
-    let height = mask.len() / width.max(1);
-    let near = |position: usize, length: usize| {
-        position.saturating_sub(radius)..(position + radius + 1).min(length)
-    };
-    (0..mask.len())
-        .map(|cell| {
-            let (x, y) = (cell % width, cell / width);
-            near(y, height).all(|row| near(x, width).all(|column| mask[row * width + column]))
-        })
-        .collect()
 }
 
 #[cfg(test)]

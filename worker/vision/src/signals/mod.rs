@@ -7,12 +7,14 @@
 
 pub mod arc;
 pub mod contact;
+mod erode;
 mod median;
 mod piecewise;
 
 pub use piecewise::{PiecewiseParams, piecewise_residual};
 
 pub use median::median;
+pub(crate) use median::median_f32;
 
 use serde::{Deserialize, Serialize};
 

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::moving_cells;
 use crate::consistency::Evidence;
+use crate::flow::simd::{Kernel, dispatch};
 
 /// Points that fix an affine motion.
 const SAMPLE_POINTS: usize = 3;
@@ -224,6 +225,7 @@ impl Points {
         Some(Affine::through(linear, [x0, y0], [u0, v0]))
     }
 
+    #[inline(always)]
     fn squared_residuals(&self, model: &Affine) -> impl Iterator<Item = f32> + '_ {
         let [[a, b], [c, d]] = model.linear.map(|row| row.map(|value| value as f32));
         let [e, f] = model.offset.map(|value| value as f32);
@@ -239,9 +241,11 @@ impl Points {
     }
 
     fn count_inliers(&self, model: &Affine, limit: f32) -> u32 {
-        self.squared_residuals(model)
-            .map(|squared| u32::from(squared <= limit))
-            .sum()
+        dispatch(CountInliers {
+            points: self,
+            model,
+            limit,
+        })
     }
 
     /// The least-squares affine motion; `None` when the points are on a line.
@@ -279,6 +283,25 @@ impl Points {
             ]
         });
         Some(Affine::through(linear, [cx, cy], [cu, cv]))
+    }
+}
+
+/// Points within the squared distance `limit` of a motion, in whole vectors.
+struct CountInliers<'a> {
+    points: &'a Points,
+    model: &'a Affine,
+    limit: f32,
+}
+
+impl Kernel for CountInliers<'_> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn run(self) -> u32 {
+        self.points
+            .squared_residuals(self.model)
+            .map(|squared| u32::from(squared <= self.limit))
+            .sum()
     }
 }
 

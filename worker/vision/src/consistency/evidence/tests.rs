@@ -1,6 +1,8 @@
 //! The evidence against its definitions, and on pictures whose motion is known.
 
 use super::*;
+use crate::consistency::end_point::inside;
+use crate::image::Bilinear;
 
 fn flow(width: usize, height: usize, field: impl Fn(usize, usize) -> [f32; 2]) -> Flow {
     Flow {
@@ -209,4 +211,100 @@ fn mismatched_and_broken_inputs_are_typed_errors() {
             ..
         })
     ));
+}
+
+/// The definition, cell by cell.
+fn twin(
+    forward: &GridFlow,
+    backward: &GridFlow,
+    first: &NormalisedFrame,
+    second: &NormalisedFrame,
+    params: &ConsistencyParams,
+) -> Evidence {
+    let (width, height) = (forward.width, forward.height);
+    let mut evidence = Evidence {
+        width,
+        height,
+        cells_per_px: forward.cells_per_px,
+        flow_px: forward.flow_px.clone(),
+        speed_px: Vec::new(),
+        error_px: Vec::new(),
+        rho: Vec::new(),
+        appearance: Vec::new(),
+        in_frame: Vec::new(),
+        counted: Vec::new(),
+        appearance_scale: params.appearance_scale,
+    };
+    for (index, &[u, v]) in forward.flow_px.iter().enumerate() {
+        let (x, y) = (index % width, index / width);
+        let to_x = x as f32 + u * forward.cells_per_px[0];
+        let to_y = y as f32 + v * forward.cells_per_px[1];
+        let at = Bilinear::at(to_x, to_y, width, height);
+        let [a, b, c, d] = at.indices.map(|index| backward.flow_px[index]);
+        let back = [0, 1].map(|axis| at.mix(a[axis], b[axis], c[axis], d[axis]));
+        let squared = squared_norm([u + back[0], v + back[1]]);
+        let difference = (first.normalised.data[index] - second.normalised.bilinear(at)).abs();
+        let in_frame = inside(to_x, to_y, width, height);
+        let margin = params.margin_cells;
+        let central = (margin..width.saturating_sub(margin)).contains(&x)
+            && (margin..height.saturating_sub(margin)).contains(&y);
+        evidence.speed_px.push(squared_norm([u, v]).sqrt());
+        evidence.error_px.push(squared.sqrt());
+        evidence.rho.push(params.rho(squared, [u, v], back));
+        let appearance = difference.min(params.appearance_limit);
+        evidence.appearance.push(appearance);
+        evidence.in_frame.push(in_frame);
+        evidence.counted.push(in_frame && central);
+    }
+    evidence
+}
+
+#[test]
+fn row_wise_kernels_equal_the_definitions_bit_for_bit() {
+    for (width, height) in [(1, 1), (1, 9), (7, 1), (9, 8), (37, 23), (64, 48)] {
+        let params = ConsistencyParams {
+            grid_height: height,
+            ..ConsistencyParams::default()
+        };
+        // Whole and broken vectors, some to the border exactly, some out of the frame.
+        let field = |seed: usize, step: f32| GridFlow {
+            width,
+            height,
+            cells_per_px: [0.5, 0.5],
+            flow_px: (0..width * height)
+                .map(|i| [7919, 104_729].map(|k| ((i * k + seed) % 23) as f32 * step - 3.0))
+                .collect(),
+        };
+        let frame = |shift| NormalisedFrame::new(&texture(width, height, shift), &params).unwrap();
+        let (first, second) = (frame(0.0), frame(6.0));
+        for step in [0.25, 0.37, 1.0] {
+            let (ahead, back) = (field(1, step), field(5, 0.31));
+            let expected = twin(&ahead, &back, &first, &second, &params);
+            let measured = Evidence::new(&ahead, &back, &first, &second, &params).unwrap();
+            assert_eq!(measured, expected);
+            let plain = Comparison {
+                forward: &ahead,
+                backward: &back,
+                first: &first.normalised.data,
+                second: &second.normalised.data,
+                size: (width, height),
+                params: &params,
+            };
+            assert_eq!(plain.run(), expected);
+            for reads_flow in [true, false] {
+                let change = |cell: usize| {
+                    let ratio = expected.appearance[cell] / params.appearance_scale;
+                    let flow = if reads_flow { expected.rho[cell] } else { 0.0 };
+                    let share = -libm::expm1f(-(flow + ratio * ratio));
+                    if expected.in_frame[cell] { share } else { 0.0 }
+                };
+                let by_cell: Vec<f32> = (0..width * height).map(change).collect();
+                let map = ChangeMap {
+                    evidence: &expected,
+                    reads_flow,
+                };
+                assert_eq!(map.run(), by_cell);
+            }
+        }
+    }
 }

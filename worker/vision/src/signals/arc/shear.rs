@@ -7,6 +7,7 @@
 
 use super::{ArcParams, CellMean};
 use crate::consistency::Evidence;
+use crate::signals::erode::erode;
 
 /// Sd of a step; `None` with too few interior cells.
 #[must_use]
@@ -61,21 +62,8 @@ fn minmod(a: f32, b: f32) -> f32 {
 
 /// Cells whose whole neighbourhood moves consistently; what lies outside the grid does not matter.
 fn interior(step: &Evidence, params: &ArcParams) -> Vec<bool> {
-    let (width, height) = (step.width, step.height);
-    let radius = params.shear.erosion_radius_cells;
-    let moving: Vec<bool> = (0..width * height)
+    let moving: Vec<bool> = (0..step.width * step.height)
         .map(|cell| step.consistent(cell) && step.speed_px[cell] > params.moving_px)
         .collect();
-    let near = |position: usize, length: usize| {
-        position.saturating_sub(radius)..(position + radius + 1).min(length)
-    };
-    let along_rows: Vec<bool> = (0..width * height)
-        .map(|cell| {
-            let row = cell - cell % width;
-            near(cell % width, width).all(|x| moving[row + x])
-        })
-        .collect();
-    (0..width * height)
-        .map(|cell| near(cell / width, height).all(|y| along_rows[y * width + cell % width]))
-        .collect()
+    erode(&moving, step.width, params.shear.erosion_radius_cells)
 }
