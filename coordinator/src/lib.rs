@@ -3,7 +3,10 @@
 pub mod cli;
 pub mod collect;
 pub mod corpus;
+pub mod explain;
 pub mod fanout;
+mod lease;
+pub mod picture;
 pub mod progress;
 pub mod publish;
 pub mod reduce;
@@ -11,3 +14,4 @@ pub mod report;
 pub mod run;
 pub mod sample;
 pub mod settings;
+mod stop;

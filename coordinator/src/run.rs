@@ -3,8 +3,6 @@
 //! Every step can be killed and run again. `corpus.json` disappears first and is written last, so
 //! that it is there exactly when everything else is.
 
-mod lease;
-
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -18,16 +16,17 @@ use plumbline_worker::profile::Profile;
 use crate::collect::{Journal, JournalError, Record};
 use crate::corpus::{self, CorpusError, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
+use crate::lease::Lease;
 use crate::progress::{Progress, say};
 use crate::publish::{
     self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError,
 };
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
-use lease::Lease;
+use crate::stop::StopSignals;
 
 /// Where a run keeps what it needs to resume, below OUT.
-const STATE_DIRECTORY: &str = ".plumbline";
+pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 
 /// Who measured, in `costs.*`, when no fleet is involved.
 const EMBEDDED_WORKER: &str = "embedded";
@@ -268,7 +267,7 @@ async fn measure_missing(
 }
 
 /// The job of an entry; none where the file could not even be looked at.
-fn job(entry: &Entry, profile: &[u8]) -> Option<Job> {
+pub(crate) fn job(entry: &Entry, profile: &[u8]) -> Option<Job> {
     Some(Job {
         video: entry.video.clone(),
         location: entry.location.clone(),
@@ -309,7 +308,8 @@ fn collected(
     Ok((videos, costs))
 }
 
-fn unreadable(entry: &Entry) -> Measurement {
+/// The row of an entry that cannot be looked at.
+pub(crate) fn unreadable(entry: &Entry) -> Measurement {
     let problem = entry.problem.as_deref().unwrap_or("not measured");
     Measurement::without_score(
         Status::Failed,
@@ -392,35 +392,4 @@ fn tell_ignored(ignored: &Ignored) {
         "passed over files that are not named like videos: {} (a list or a glob takes any file)",
         by_extension.join(", ")
     ));
-}
-
-/// Ctrl-C and SIGTERM, as one event.
-struct StopSignals {
-    interrupt: Option<tokio::signal::unix::Signal>,
-    terminate: Option<tokio::signal::unix::Signal>,
-}
-
-impl StopSignals {
-    fn listen() -> Self {
-        use tokio::signal::unix::{SignalKind, signal};
-        Self {
-            interrupt: signal(SignalKind::interrupt()).ok(),
-            terminate: signal(SignalKind::terminate()).ok(),
-        }
-    }
-
-    async fn recv(&mut self) {
-        async fn one(signal: &mut Option<tokio::signal::unix::Signal>) {
-            match signal {
-                Some(signal) => {
-                    signal.recv().await;
-                }
-                None => std::future::pending().await,
-            }
-        }
-        tokio::select! {
-            () = one(&mut self.interrupt) => {}
-            () = one(&mut self.terminate) => {}
-        }
-    }
 }

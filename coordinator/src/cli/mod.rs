@@ -1,5 +1,7 @@
 //! The command line: what was typed, made usable, handed to the library; results to exit codes.
 
+mod explain;
+mod measuring;
 mod sample;
 mod score;
 mod summary;
@@ -36,6 +38,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Score(Box<score::ScoreArgs>),
+    Explain(explain::ExplainArgs),
     Sample(sample::SampleArgs),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
@@ -52,6 +55,7 @@ pub fn main() -> ExitCode {
     plumbline_common::telemetry::init(&cli.log);
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
+        Command::Explain(args) => explain::run(args),
         Command::Sample(args) => sample::run(&args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)

@@ -79,6 +79,12 @@ impl FaultStream {
         })
     }
 
+    /// Keeps the maps of these kinds and frames when they are settled; ask before the frames come. Each
+    /// map costs its plane in memory.
+    pub fn keep_maps(&mut self, wanted: &[(FaultKind, usize)]) {
+        self.series.wanted.extend_from_slice(wanted);
+    }
+
     /// Takes the next frame.
     ///
     /// # Errors
