@@ -6,6 +6,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use plumbline_common::row::Measurement;
 use plumbline_vision::image::Rgb8;
+use plumbline_worker::encode::{UNFINISHED_PREFIX, UNFINISHED_SUFFIX};
 
 use crate::explain::HEAT_MAP_DIRECTORY;
 use crate::publish::{OutDir, PublishError};
@@ -50,6 +51,19 @@ pub(crate) fn heat_maps_in(out: &OutDir) -> Result<Vec<String>, PublishError> {
         }
     }
     names.sort();
+    Ok(names)
+}
+
+/// Unfinished videos that a killed explanation left.
+pub(crate) fn videos_left_in(out: &OutDir) -> Result<Vec<String>, PublishError> {
+    let io_error = |source| PublishError::from_io(&out.root().to_string_lossy(), source);
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(out.root()).map_err(io_error)? {
+        let name = entry.map_err(io_error)?.file_name();
+        let unfinished =
+            |name: &&str| name.starts_with(UNFINISHED_PREFIX) && name.ends_with(UNFINISHED_SUFFIX);
+        names.extend(name.to_str().filter(unfinished).map(str::to_owned));
+    }
     Ok(names)
 }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::measuring::{Measuring, MeasuringArgs};
+use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
 use super::summary::printable;
 use super::{Failure, exit};
 use crate::explain::{self, ExplainOptions, Explained, RunError};
@@ -22,24 +22,24 @@ pub(super) struct ExplainArgs {
     out: PathBuf,
     #[command(flatten)]
     measuring: MeasuringArgs,
+    #[command(flatten)]
+    thresholds: ThresholdsArg,
     /// Print explain.json on standard output
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(args: ExplainArgs) -> Result<u8, Failure> {
-    let Measuring { profile, slots } = args.measuring.usable(Some(1))?;
+    let Measuring { mut profile, slots } = args.measuring.usable(Some(1))?;
+    let fault_calibration = args.thresholds.apply(&mut profile)?;
     let options = ExplainOptions {
         video: args.video,
         out: args.out,
         profile,
+        fault_calibration,
         slots,
     };
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(1)
-        .enable_all()
-        .build()
-        .map_err(Failure::stopped)?;
+    let runtime = super::runtime()?;
     let explained = runtime.block_on(explain::explain(&options));
     runtime.shutdown_background();
     match explained {

@@ -1,11 +1,14 @@
 //! The options by which every command measures videos: profile, limits, and who computes.
 
+use std::path::PathBuf;
+
 use clap::{Args, ValueEnum};
 use plumbline_worker::profile::{Profile, Rung};
 
 use super::Failure;
 use crate::fanout::Slots;
 use crate::settings::Settings;
+use crate::thresholds::{self, FaultCalibration};
 
 /// What was typed.
 #[derive(Debug, Args)]
@@ -38,6 +41,26 @@ enum RungArg {
     Standard,
     /// 512 px, finest flow: decisions
     Accurate,
+}
+
+/// Thresholds in place of the profile's own.
+#[derive(Debug, Args)]
+pub(super) struct ThresholdsArg {
+    /// Fault thresholds that `reference fit --faults` wrote, in place of the profile's own
+    #[arg(long, value_name = "FILE")]
+    fault_thresholds: Option<PathBuf>,
+}
+
+impl ThresholdsArg {
+    /// Puts them into the profile, where given and fitted for it.
+    pub(super) fn apply(&self, profile: &mut Profile) -> Result<Option<FaultCalibration>, Failure> {
+        let Some(path) = &self.fault_thresholds else {
+            return Ok(None);
+        };
+        let (thresholds, calibration) = thresholds::load(path, profile).map_err(Failure::usage)?;
+        profile.fault_thresholds = thresholds;
+        Ok(Some(calibration))
+    }
 }
 
 /// What is usable.

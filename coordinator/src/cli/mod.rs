@@ -2,6 +2,7 @@
 
 mod explain;
 mod measuring;
+mod reference;
 mod sample;
 mod score;
 mod summary;
@@ -39,6 +40,7 @@ struct Cli {
 enum Command {
     Score(Box<score::ScoreArgs>),
     Explain(explain::ExplainArgs),
+    Reference(reference::ReferenceArgs),
     Sample(sample::SampleArgs),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
@@ -56,6 +58,7 @@ pub fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
         Command::Explain(args) => explain::run(args),
+        Command::Reference(args) => reference::run(args),
         Command::Sample(args) => sample::run(&args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)
@@ -71,6 +74,15 @@ pub fn main() -> ExitCode {
             ExitCode::from(failure.code)
         }
     }
+}
+
+/// Threads for pipes and signals; the work itself is done by compute processes.
+fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(Failure::stopped)
 }
 
 /// How a command fails: the code and the line that says why.

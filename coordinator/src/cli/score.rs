@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::measuring::{Measuring, MeasuringArgs};
+use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
 use super::{Failure, exit, summary};
 use crate::corpus::GroupBy;
 use crate::publish::Format;
@@ -26,6 +26,11 @@ pub(super) struct ScoreArgs {
     out: PathBuf,
     #[command(flatten)]
     measuring: MeasuringArgs,
+    #[command(flatten)]
+    thresholds: ThresholdsArg,
+    /// Also draw the worst frame of each of the K most anomalous videos, linked from the report
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    heatmaps: usize,
     /// Signals combined into the anomaly score
     #[arg(long, value_enum, default_value = "balanced")]
     recipe: Recipe,
@@ -86,11 +91,7 @@ impl From<FormatArg> for Format {
 pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
     let json = args.json;
     let options = args.into_options()?;
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(2)
-        .enable_all()
-        .build()
-        .map_err(Failure::stopped)?;
+    let runtime = super::runtime()?;
     let finished = runtime.block_on(run::score(&options));
     // Children are ended by dropping their handles, which needs the runtime no longer.
     runtime.shutdown_background();
@@ -129,7 +130,8 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
 impl ScoreArgs {
     /// From what was typed to what is usable.
     fn into_options(self) -> Result<ScoreOptions, Failure> {
-        let Measuring { profile, slots } = self.measuring.usable(self.jobs)?;
+        let Measuring { mut profile, slots } = self.measuring.usable(self.jobs)?;
+        let fault_calibration = self.thresholds.apply(&mut profile)?;
         let profile_digest = profile.digest().map_err(Failure::usage)?;
         Ok(ScoreOptions {
             sources: self.sources,
@@ -146,6 +148,8 @@ impl ScoreArgs {
             },
             resume: !self.no_resume,
             formats: self.format.into_iter().map(Format::from).collect(),
+            fault_calibration,
+            heat_maps: self.heatmaps,
             slots,
         })
     }

@@ -39,6 +39,7 @@ impl Story<'_> {
                 "name": self.options.profile.rung.as_str(),
                 "digest": self.options.profile.digest()?,
             },
+            "fault_calibration": self.options.fault_calibration,
             "conditioning_frames": self.options.profile.conditioning_frames,
             "warmup_frames": self.options.profile.warmup_frames,
             "measured": measured,

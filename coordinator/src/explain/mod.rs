@@ -26,6 +26,7 @@ use crate::picture::{self, PngError};
 use crate::publish::{CORPUS_FILE, OutDir, PublishError};
 use crate::run::{STATE_DIRECTORY, unreadable};
 use crate::stop::StopSignals;
+use crate::thresholds::FaultCalibration;
 
 /// The mark of a finished explanation.
 const EXPLAIN_FILE: &str = "explain.json";
@@ -51,6 +52,8 @@ pub struct ExplainOptions {
     pub out: PathBuf,
     /// How it is measured.
     pub profile: Profile,
+    /// Where its fault thresholds come from, if not from the profile.
+    pub fault_calibration: Option<FaultCalibration>,
     /// Who computes; one slot is used.
     pub slots: Slots,
 }
@@ -181,7 +184,10 @@ fn clear(out: &OutDir) -> Result<(), PublishError> {
         out.remove(name)?;
     }
     out.sweep_partials()?;
-    for name in picture::heat_maps_in(out)? {
+    for name in picture::videos_left_in(out)?
+        .into_iter()
+        .chain(picture::heat_maps_in(out)?)
+    {
         out.remove(&name)?;
     }
     Ok(())
@@ -220,6 +226,8 @@ async fn explain_into(
                 events: events.clone(),
                 grid_size: faults.grid_size,
                 times_s: times_s.clone(),
+                first_frame: measured.series.first_frame,
+                aepe_px: measured.series.aepe_px.clone(),
             },
         };
         undrawn = draw(&mut slot, &request, &plan, &measured, out, &mut files).await?;

@@ -140,10 +140,10 @@ impl ComputeSlot {
     ///
     /// # Errors
     /// [`SlotError`], when no child can be started at all.
-    pub async fn draw(
+    pub async fn draw<F: FnMut(Picture) -> ControlFlow<()>>(
         &mut self,
         job: &DrawJob,
-        take: &mut dyn FnMut(Picture) -> ControlFlow<()>,
+        take: &mut F,
     ) -> Result<Drawing, SlotError> {
         let request = message::encode(&Request::Draw(job.clone()))?;
         let mut running = match self.running.take() {
@@ -246,10 +246,10 @@ impl Running {
         self.receive().await
     }
 
-    async fn draw(
+    async fn draw<F: FnMut(Picture) -> ControlFlow<()>>(
         &mut self,
         request: &[u8],
-        take: &mut dyn FnMut(Picture) -> ControlFlow<()>,
+        take: &mut F,
     ) -> Result<Drawing, ExchangeError> {
         self.send(request).await?;
         loop {

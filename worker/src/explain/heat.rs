@@ -10,7 +10,7 @@ use crate::profile::Profile;
 /// Space around and between the parts, px.
 const GAP_PX: usize = 10;
 /// Rows of the two lines above the pictures.
-const TITLE_PX: usize = 48;
+const TITLE_PX: usize = 52;
 /// Narrower drawings have no room for their text.
 const MIN_WIDTH_PX: usize = 640;
 
@@ -20,14 +20,11 @@ pub(super) fn end_point_error(
     time_s: f64,
     rgb: &Rgb8,
     error_px: &Plane,
+    mean_px: Option<f64>,
 ) -> Result<Rgb8, DrawError> {
-    let mean: f64 = error_px.data.iter().map(|&e| f64::from(e)).sum::<f64>()
-        / error_px.data.len().max(1) as f64;
     let title = format!("end-point error at frame {frame} ({time_s:.2} s)");
-    let about = format!(
-        "where forward and backward flow disagree with the frame before; mean {} px",
-        digits(mean)
-    );
+    let mean = mean_px.map_or(String::new(), |px| format!("; mean {} px", digits(px)));
+    let about = format!("where forward and backward flow disagree with the frame before{mean}");
     drawing(
         &title,
         &about,
@@ -112,8 +109,8 @@ fn drawing(
     let inner = (columns * w + (columns - 1) * GAP_PX).max(MIN_WIDTH_PX);
     let height = TITLE_PX + rows * (h + GAP_PX) + GAP_PX + BAR_BLOCK_PX;
     let mut canvas = Canvas::new(inner + 2 * GAP_PX, height);
-    canvas.text(title, (GAP_PX, 6), Anchor::Left, TEXT_PX, LIGHT)?;
-    canvas.text(about, (GAP_PX, 28), Anchor::Left, SMALL_PX, MUTED)?;
+    canvas.text(title, (GAP_PX, 8), Anchor::Left, TEXT_PX, LIGHT)?;
+    canvas.text(about, (GAP_PX, 30), Anchor::Left, SMALL_PX, MUTED)?;
     let x = (canvas.picture.width - (columns * w + (columns - 1) * GAP_PX)) / 2;
     let second = if stacked {
         (x, TITLE_PX + h + GAP_PX)

@@ -54,6 +54,10 @@ pub struct Marked {
     pub grid_size: Option<(usize, usize)>,
     /// Presentation time of every frame, seconds.
     pub times_s: Vec<f64>,
+    /// Later frame of the first pair.
+    pub first_frame: u32,
+    /// Mean end-point error of every pair from there on, px of a 256-px-high picture.
+    pub aepe_px: Vec<Option<f64>>,
 }
 
 /// A finished picture.
@@ -102,6 +106,11 @@ pub enum ExplainError {
     /// Nobody takes the pictures.
     #[error("a picture cannot be handed over: {0}")]
     HandOver(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// The value of the pair whose later frame is `frame`, in a series that begins at `first_frame`.
+fn pair_value(series: &[Option<f64>], first_frame: u32, frame: u32) -> Option<f64> {
+    *series.get(frame.checked_sub(first_frame)? as usize)?
 }
 
 /// A frame kept for a heat map.
@@ -173,7 +182,11 @@ pub(crate) fn draw(
         };
         let drawn = match subject {
             Subject::EndPointError => match &shown.error_px {
-                Some(error_px) => heat::end_point_error(frame, shown.time_s, &shown.rgb, error_px)?,
+                Some(error_px) => {
+                    let series = &detailed.outcome.measurement.series;
+                    let mean_px = pair_value(&series.aepe_px, series.first_frame, frame);
+                    heat::end_point_error(frame, shown.time_s, &shown.rgb, error_px, mean_px)?
+                }
                 None => continue,
             },
             Subject::Fault(kind) => {

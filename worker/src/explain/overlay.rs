@@ -3,16 +3,16 @@
 use plumbline_vision::faults::FaultEvent;
 use plumbline_vision::image::{Plane, Rgb8};
 
-use super::Marked;
 use super::canvas::{Anchor, Canvas, DrawError, LIGHT, MARK, MUTED, SMALL_PX, TEXT_PX, fitted};
 use super::heat::on_picture;
 use super::scale::{BAR_BLOCK_PX, Scale, digits};
+use super::{Marked, pair_value};
 use crate::decode::DecodedFrame;
 
 /// Space around the parts, px.
 const GAP_PX: usize = 10;
 /// Rows of the lines above the picture: frame and error, then faults.
-const TITLE_PX: usize = 52;
+const TITLE_PX: usize = 56;
 /// Narrower drawings have no room for their text.
 const MIN_WIDTH_PX: usize = 560;
 /// A fault of one frame is gone in a blink: its name stays this long, seconds.
@@ -31,18 +31,15 @@ pub(super) fn frame(
     let (w, h) = (picture.width, picture.height);
     let inner = w.max(MIN_WIDTH_PX);
     let mut canvas = Canvas::new(inner + 2 * GAP_PX, TITLE_PX + h + 2 * GAP_PX + BAR_BLOCK_PX);
-    let error = match error_px {
-        Some(plane) => {
-            let sum: f64 = plane.data.iter().map(|&e| f64::from(e)).sum();
-            let mean = sum / plane.data.len().max(1) as f64;
-            format!("mean end-point error {} px", digits(mean))
-        }
+    let mean_px = pair_value(&marked.aepe_px, marked.first_frame, decoded.index);
+    let error = match mean_px {
+        Some(px) => format!("mean end-point error {} px", digits(px)),
         None => "no frame before to compare with".to_owned(),
     };
     let at = format!("frame {}   {:.2} s", decoded.index, decoded.time_s);
-    canvas.text(&at, (GAP_PX, 6), Anchor::Left, TEXT_PX, LIGHT)?;
+    canvas.text(&at, (GAP_PX, 8), Anchor::Left, TEXT_PX, LIGHT)?;
     let right = canvas.picture.width - GAP_PX;
-    canvas.text(&error, (right, 6), Anchor::Right, TEXT_PX, LIGHT)?;
+    canvas.text(&error, (right, 8), Anchor::Right, TEXT_PX, LIGHT)?;
 
     let corner = ((canvas.picture.width - w) / 2, TITLE_PX);
     match error_px {
@@ -72,11 +69,11 @@ pub(super) fn frame(
         } else {
             ""
         };
-        canvas.text(text, (GAP_PX, 30), Anchor::Left, SMALL_PX, MUTED)?;
+        canvas.text(text, (GAP_PX, 32), Anchor::Left, SMALL_PX, MUTED)?;
     } else {
         canvas.text(
             &names.join("   "),
-            (GAP_PX, 30),
+            (GAP_PX, 32),
             Anchor::Left,
             SMALL_PX,
             MARK,

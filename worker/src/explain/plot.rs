@@ -14,7 +14,7 @@ use super::canvas::{DrawError, FONT, SMALL_PX, TEXT_PX, load_font};
 
 /// Size of the picture, px.
 const WIDTH_PX: u32 = 1100;
-const PANEL_PX: u32 = 190;
+const PANEL_PX: u32 = 200;
 const TITLE_PX: u32 = 40;
 const FOOT_PX: u32 = 30;
 /// Room for the numbers of the vertical axis.
@@ -106,7 +106,7 @@ fn draw_panel(
     let mut chart = ChartBuilder::on(area)
         .margin_left(8)
         .margin_right(18)
-        .margin_top(28)
+        .margin_top(36)
         .x_label_area_size(20)
         .y_label_area_size(LABELS_PX)
         .build_cartesian_2d(0.0..f64::from(last_frame.max(1)), 0.0..top)
@@ -180,7 +180,7 @@ fn head(area: &DrawingArea<BitMapBackend<'_>, Shift>, panel: &Panel) -> Result<(
         let size = area
             .estimate_text_size(text, &style(colour))
             .map_err(failed)?;
-        area.draw(&Text::new(text.to_owned(), (x, 6), style(colour)))
+        area.draw(&Text::new(text.to_owned(), (x, 14), style(colour)))
             .map_err(failed)?;
         x += size.0 as i32 + 16;
         Ok(())

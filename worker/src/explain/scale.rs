@@ -57,10 +57,7 @@ impl Scale {
         Self {
             full,
             name,
-            ticks: (0..=4)
-                .map(|k| full * k as f32 / 4.0)
-                .map(|value| (value, digits(f64::from(value))))
-                .collect(),
+            ticks: round_ticks(full),
             mark: threshold
                 .filter(|threshold| *threshold <= full)
                 .map(|threshold| (threshold, "threshold".to_owned())),
@@ -104,13 +101,13 @@ impl Scale {
             canvas.fill([x, y, x + 1, y + BAR_PX], colour);
         }
         let at = |value: f32| x0 + ((value / self.full) * (span - 1) as f32).round() as usize;
-        let last = self.ticks.len().saturating_sub(1);
-        for (k, (value, text)) in self.ticks.iter().enumerate() {
+        for (value, text) in &self.ticks {
             let x = at(*value);
             canvas.fill([x, y + BAR_PX, x + 1, y + BAR_PX + 4], MUTED);
-            let anchor = match k {
-                0 => Anchor::Left,
-                k if k == last => Anchor::Right,
+            // Numbers at the ends stay on the bar.
+            let anchor = match value / self.full {
+                share if share < 0.02 => Anchor::Left,
+                share if share > 0.97 => Anchor::Right,
                 _ => Anchor::Centre,
             };
             canvas.text(text, (x, y + BAR_PX + 6), anchor, SMALL_PX, LIGHT)?;
@@ -124,6 +121,28 @@ impl Scale {
         }
         Ok(())
     }
+}
+
+/// 0 and the multiples of 1, 2 or 5 times a power of ten below `full`, three to seven of them.
+fn round_ticks(full: f32) -> Vec<(f32, String)> {
+    let most = f64::from(full) / 3.0;
+    let power = most.log10().floor();
+    let ten = 10f64.powf(power);
+    let step = [5.0, 2.0, 1.0]
+        .into_iter()
+        .map(|factor| factor * ten)
+        .find(|step| *step <= most)
+        .unwrap_or(ten);
+    let decimals = if step < 1.0 {
+        (-power).clamp(0.0, 9.0) as usize
+    } else {
+        0
+    };
+    let count = (f64::from(full) / step) as u32;
+    (0..=count)
+        .map(|k| f64::from(k) * step)
+        .map(|value| (value as f32, format!("{value:.decimals$}")))
+        .collect()
 }
 
 /// Three significant digits.
@@ -144,6 +163,24 @@ mod tests {
     fn three_significant_digits() {
         let shown = [0.0, 0.012345, 1.0, 12.34, 1234.6].map(digits);
         assert_eq!(shown, ["0", "0.0123", "1.00", "12.3", "1235"]);
+    }
+
+    #[test]
+    fn ticks_are_round_and_lie_on_the_scale() {
+        let texts = |full| {
+            round_ticks(full)
+                .into_iter()
+                .map(|tick| tick.1)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(texts(2.12), ["0.0", "0.5", "1.0", "1.5", "2.0"]);
+        assert_eq!(texts(0.037), ["0.00", "0.01", "0.02", "0.03"]);
+        assert_eq!(texts(43.0), ["0", "10", "20", "30", "40"]);
+        for full in [1e-6, 0.3, 1.0, 6.9, 1234.0] {
+            let ticks = round_ticks(full);
+            assert!((3..=8).contains(&ticks.len()), "{full}: {ticks:?}");
+            assert!(ticks.iter().all(|(value, _)| *value <= full * 1.000_1));
+        }
     }
 
     /// Heat is brightest where the value is, and the frame is still told from black where it is not,
