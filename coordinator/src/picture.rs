@@ -19,7 +19,7 @@ pub struct PngError(#[from] image::ImageError);
 /// A picture as PNG, the same bytes every time.
 pub(crate) fn png(picture: &Rgb8) -> Result<Vec<u8>, PngError> {
     let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Best, FilterType::Adaptive)
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
         .write_image(
             &picture.data,
             picture.width as u32,

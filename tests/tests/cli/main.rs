@@ -1,6 +1,7 @@
 //! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
+//! `explain`, `heatmaps`, `reference`: the commands and flags of these names.
 //! `faults`: known faults in the published rows. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
@@ -12,10 +13,13 @@
     reason = "a test fails by panicking, and says what it could not try"
 )]
 
+mod explain;
 mod faults;
+mod heatmaps;
 mod hostile;
 mod main_path;
 mod paper;
+mod reference;
 mod resume;
 mod sources;
 mod system;
