@@ -254,6 +254,10 @@ impl Running {
         self.send(request).await?;
         loop {
             match self.receive().await? {
+                // A child that decodes hostile bytes is not taken at its word.
+                Drawn::Picture(picture) if !picture.is_whole() => {
+                    return Err(FrameError::Torn.into());
+                }
                 Drawn::Picture(picture) => {
                     if take(picture).is_break() {
                         return Ok(Drawing::Stopped);

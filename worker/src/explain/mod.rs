@@ -84,6 +84,12 @@ pub enum PictureName {
 }
 
 impl Picture {
+    /// Whether its bytes are as many as its size asks for.
+    pub(crate) fn is_whole(&self) -> bool {
+        let bytes = u64::from(self.width) * u64::from(self.height) * 3;
+        bytes > 0 && self.rgb.len() as u64 == bytes
+    }
+
     fn new(name: PictureName, drawn: Rgb8) -> Self {
         Self {
             name,

@@ -111,6 +111,9 @@ impl FaultStream {
     #[must_use]
     pub fn finish(mut self, camera_is_static: bool) -> FaultSeries {
         if !camera_is_static {
+            self.series
+                .kept
+                .retain(|map| !map.kind.needs_static_camera());
             for kind in FaultKind::ALL {
                 if kind.needs_static_camera() {
                     self.series.points[kind as usize].clear();
