@@ -179,7 +179,11 @@ pub(super) fn summary(explained: &Explained) -> Vec<String> {
     }
     match (&row.fault_frames, explained.faults.len()) {
         (None, _) if row.frames.is_some() => {
-            lines.push("faults: not judged (no thresholds for this profile)".to_owned());
+            let reason = match row.series.aepe_px.is_empty() {
+                true => "no frame pair",
+                false => "no thresholds for this profile",
+            };
+            lines.push(format!("faults: not judged ({reason})"));
         }
         (None, _) => {}
         (Some(_), 0) => lines.push("faults: none found".to_owned()),
