@@ -3,11 +3,18 @@
 pub mod cli;
 pub mod collect;
 pub mod corpus;
+pub mod explain;
 pub mod fanout;
+mod heat_maps;
+mod lease;
+pub mod picture;
 pub mod progress;
 pub mod publish;
 pub mod reduce;
+pub mod reference;
 pub mod report;
 pub mod run;
 pub mod sample;
 pub mod settings;
+mod stop;
+pub mod thresholds;

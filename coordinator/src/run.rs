@@ -3,8 +3,6 @@
 //! Every step can be killed and run again. `corpus.json` disappears first and is written last, so
 //! that it is there exactly when everything else is.
 
-mod lease;
-
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -18,16 +16,20 @@ use plumbline_worker::profile::Profile;
 use crate::collect::{Journal, JournalError, Record};
 use crate::corpus::{self, CorpusError, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
+use crate::heat_maps::{self, HeatMaps};
+use crate::lease::Lease;
+use crate::picture::PngError;
 use crate::progress::{Progress, say};
 use crate::publish::{
     self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError,
 };
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
-use lease::Lease;
+use crate::stop::StopSignals;
+use crate::thresholds::FaultCalibration;
 
 /// Where a run keeps what it needs to resume, below OUT.
-const STATE_DIRECTORY: &str = ".plumbline";
+pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 
 /// Who measured, in `costs.*`, when no fleet is involved.
 const EMBEDDED_WORKER: &str = "embedded";
@@ -49,6 +51,10 @@ pub struct ScoreOptions {
     pub resume: bool,
     /// Formats of the tables.
     pub formats: BTreeSet<Format>,
+    /// Where the profile's fault thresholds come from, if not from the profile itself.
+    pub fault_calibration: Option<FaultCalibration>,
+    /// How many of the most anomalous videos get a heat map.
+    pub heat_maps: usize,
     /// Who computes.
     pub slots: Slots,
 }
@@ -121,6 +127,9 @@ pub enum RunError {
     /// The journal cannot be written.
     #[error(transparent)]
     Journal(#[from] JournalError),
+    /// A heat map does not encode.
+    #[error(transparent)]
+    Png(#[from] PngError),
     /// No compute process can be started.
     #[error(transparent)]
     Slot(#[from] SlotError),
@@ -189,17 +198,8 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     journal.sync()?;
 
     let (done, total) = (journal.len(), entries.len());
-    let finishing = {
-        let options = options.clone();
-        tokio::task::spawn_blocking(move || -> Result<_, RunError> {
-            let (videos, costs) = collected(&entries, &journal)?;
-            let reduced = reduce::reduce(videos, &options.reduce);
-            let files = publish_run(&options, &out, &entries, &journal, &costs, &reduced)?;
-            Ok((reduced, files))
-        })
-    };
     let (reduced, files) = tokio::select! {
-        finished = finishing => finished.map_err(RunError::Finishing)??,
+        finished = finish(options, entries, journal, out) => finished?,
         () = stop.recv() => return Err(RunError::Interrupted { done, total }),
     };
     Ok(Finished {
@@ -210,6 +210,37 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
         elapsed_s: started.elapsed().as_secs_f64(),
         compute_s,
     })
+}
+
+/// Reduces what is measured, draws heat maps where asked, and publishes.
+async fn finish(
+    options: &ScoreOptions,
+    entries: Vec<Entry>,
+    journal: Journal,
+    out: OutDir,
+) -> Result<(Reduced, Vec<String>), RunError> {
+    let reduce_options = options.reduce.clone();
+    let reducing = tokio::task::spawn_blocking(move || -> Result<_, RunError> {
+        let (videos, costs) = collected(&entries, &journal)?;
+        let reduced = reduce::reduce(videos, &reduce_options);
+        Ok((entries, journal, costs, reduced))
+    });
+    let (entries, journal, costs, reduced) = reducing.await.map_err(RunError::Finishing)??;
+    let profile = options.profile.canonical().map_err(RunError::Profile)?;
+    let (most, slots) = (options.heat_maps, &options.slots);
+    let heat_maps = heat_maps::draw(most, &reduced.rows, &entries, &profile, slots, &out).await?;
+    let options = options.clone();
+    let publishing = tokio::task::spawn_blocking(move || -> Result<_, RunError> {
+        let measured = Measurements {
+            entries: &entries,
+            journal: &journal,
+            costs: &costs,
+        };
+        let mut files = publish_run(&options, &out, &measured, &reduced, &heat_maps)?;
+        files.extend(heat_maps.into_values());
+        Ok((reduced, files))
+    });
+    publishing.await.map_err(RunError::Finishing)?
 }
 
 /// Measures every readable entry that the journal does not answer; gives the compute time spent.
@@ -268,7 +299,7 @@ async fn measure_missing(
 }
 
 /// The job of an entry; none where the file could not even be looked at.
-fn job(entry: &Entry, profile: &[u8]) -> Option<Job> {
+pub(crate) fn job(entry: &Entry, profile: &[u8]) -> Option<Job> {
     Some(Job {
         video: entry.video.clone(),
         location: entry.location.clone(),
@@ -309,7 +340,8 @@ fn collected(
     Ok((videos, costs))
 }
 
-fn unreadable(entry: &Entry) -> Measurement {
+/// The row of an entry that cannot be looked at.
+pub(crate) fn unreadable(entry: &Entry) -> Measurement {
     let problem = entry.problem.as_deref().unwrap_or("not measured");
     Measurement::without_score(
         Status::Failed,
@@ -320,14 +352,25 @@ fn unreadable(entry: &Entry) -> Measurement {
     )
 }
 
+/// What was measured, and at what cost.
+struct Measurements<'a> {
+    entries: &'a [Entry],
+    journal: &'a Journal,
+    costs: &'a [CostRow],
+}
+
 fn publish_run(
     options: &ScoreOptions,
     out: &OutDir,
-    entries: &[Entry],
-    journal: &Journal,
-    costs: &[CostRow],
+    measured: &Measurements<'_>,
     reduced: &Reduced,
+    heat_maps: &HeatMaps,
 ) -> Result<Vec<String>, RunError> {
+    let Measurements {
+        entries,
+        journal,
+        costs,
+    } = *measured;
     let parameters = serde_json::to_value(&options.profile).map_err(RunError::Profile)?;
     let corpus = CorpusFile {
         plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -338,6 +381,7 @@ fn publish_run(
             parameters,
         },
         conditioning_frames: options.profile.conditioning_frames,
+        fault_calibration: options.fault_calibration.clone(),
         statistics: reduced.statistics.clone(),
     };
     let locations: Vec<String> = entries
@@ -350,6 +394,7 @@ fn publish_run(
         corpus: &corpus,
         rows: &reduced.rows,
         thumbnails: &thumbnails,
+        heat_maps,
         costs: Some(CostSummary::of(costs)),
         options: &options.told(),
         ranked: DEFAULT_RANKED,
@@ -392,35 +437,4 @@ fn tell_ignored(ignored: &Ignored) {
         "passed over files that are not named like videos: {} (a list or a glob takes any file)",
         by_extension.join(", ")
     ));
-}
-
-/// Ctrl-C and SIGTERM, as one event.
-struct StopSignals {
-    interrupt: Option<tokio::signal::unix::Signal>,
-    terminate: Option<tokio::signal::unix::Signal>,
-}
-
-impl StopSignals {
-    fn listen() -> Self {
-        use tokio::signal::unix::{SignalKind, signal};
-        Self {
-            interrupt: signal(SignalKind::interrupt()).ok(),
-            terminate: signal(SignalKind::terminate()).ok(),
-        }
-    }
-
-    async fn recv(&mut self) {
-        async fn one(signal: &mut Option<tokio::signal::unix::Signal>) {
-            match signal {
-                Some(signal) => {
-                    signal.recv().await;
-                }
-                None => std::future::pending().await,
-            }
-        }
-        tokio::select! {
-            () = one(&mut self.interrupt) => {}
-            () = one(&mut self.terminate) => {}
-        }
-    }
 }

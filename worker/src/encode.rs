@@ -88,6 +88,11 @@ const MAX_FPS: f64 = 1000.0;
 /// Largest denominator and numerator of the rate: exact for 24000/1001 and its kin.
 const RATE_PRECISION: i32 = 1_001_000;
 
+/// How the name of an unfinished video begins; a killed writer leaves one.
+pub const UNFINISHED_PREFIX: &str = ".plumbline-";
+/// How it ends.
+pub const UNFINISHED_SUFFIX: &str = ".mp4";
+
 /// Writes one MP4 file, frame by frame.
 pub struct Mp4Writer {
     clip: ClipWriter,
@@ -114,7 +119,7 @@ impl Mp4Writer {
             .filter(|parent| !parent.as_os_str().is_empty())
             .unwrap_or(Path::new("."));
         let mut builder = tempfile::Builder::new();
-        builder.prefix(".plumbline-").suffix(".mp4");
+        builder.prefix(UNFINISHED_PREFIX).suffix(UNFINISHED_SUFFIX);
         // Readable like any other file: temporary files are private by default.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));

@@ -3,5 +3,6 @@
 pub mod child;
 pub mod decode;
 pub mod encode;
+pub mod explain;
 pub mod measure;
 pub mod profile;

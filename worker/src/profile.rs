@@ -156,6 +156,24 @@ impl Profile {
         serde_json::to_vec(self)
     }
 
+    /// Digest of what fault scores depend on: everything but thresholds, limits, verdicts, and which
+    /// frames and times count.
+    ///
+    /// # Errors
+    /// As [`Self::canonical`].
+    pub fn fault_scores_digest(&self) -> Result<String, serde_json::Error> {
+        Self {
+            fault_thresholds: FaultThresholds::UNCALIBRATED,
+            conditioning_frames: 0,
+            warmup_frames: 0,
+            sequence_fps: 0.0,
+            limits: DecodeLimits::default(),
+            verdict: VerdictParams::default(),
+            ..self.clone()
+        }
+        .digest()
+    }
+
     /// BLAKE3 of the canonical form, hex.
     ///
     /// # Errors

@@ -1,6 +1,9 @@
 //! The command line: what was typed, made usable, handed to the library; results to exit codes.
 
+mod explain;
 mod flow;
+mod measuring;
+mod reference;
 mod sample;
 mod score;
 mod summary;
@@ -37,7 +40,9 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Score(Box<score::ScoreArgs>),
+    Explain(explain::ExplainArgs),
     Flow(flow::FlowArgs),
+    Reference(reference::ReferenceArgs),
     Sample(sample::SampleArgs),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
@@ -54,7 +59,9 @@ pub fn main() -> ExitCode {
     plumbline_common::telemetry::init(&cli.log);
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
+        Command::Explain(args) => explain::run(args),
         Command::Flow(args) => flow::run(&args),
+        Command::Reference(args) => reference::run(args),
         Command::Sample(args) => sample::run(&args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)
@@ -70,6 +77,15 @@ pub fn main() -> ExitCode {
             ExitCode::from(failure.code)
         }
     }
+}
+
+/// Threads for pipes and signals; the work itself is done by compute processes.
+fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(Failure::stopped)
 }
 
 /// How a command fails: the code and the line that says why.

@@ -5,17 +5,15 @@ use std::num::NonZeroU16;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use plumbline_worker::profile::{Profile, Rung};
 
+use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
 use super::{Failure, exit, summary};
 use crate::corpus::GroupBy;
-use crate::fanout::Slots;
 use crate::publish::Format;
 use crate::reduce::ReduceOptions;
 use crate::reduce::outcome::{NormaliseWithin, Range, Recipe};
 use crate::reduce::select::KeepRule;
 use crate::run::{self, RunError, ScoreOptions};
-use crate::settings::Settings;
 
 /// Scores every video of a source: scores, manifests, rewards and a report
 #[derive(Debug, Args)]
@@ -26,9 +24,13 @@ pub(super) struct ScoreArgs {
     /// Directory for the results; a run that was stopped resumes from it
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Rung of the speed/accuracy ladder
-    #[arg(long, value_enum, default_value = "standard")]
-    profile: RungArg,
+    #[command(flatten)]
+    measuring: MeasuringArgs,
+    #[command(flatten)]
+    thresholds: ThresholdsArg,
+    /// Also draw the worst frame of each of the K most anomalous videos, linked from the report
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    heatmaps: usize,
     /// Signals combined into the anomaly score
     #[arg(long, value_enum, default_value = "balanced")]
     recipe: Recipe,
@@ -55,15 +57,6 @@ pub(super) struct ScoreArgs {
     /// Take over what an earlier run into --out has measured (the default)
     #[arg(long)]
     resume: bool,
-    /// Leading frames left out of every statistic (frame 0 of a rollout is often a real picture)
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    conditioning_frames: u32,
-    /// Frames up to this index cannot be the paper's peak frame t*
-    #[arg(long, value_name = "T", default_value_t = 7)]
-    warmup: u32,
-    /// Frames per second of directories of numbered images
-    #[arg(long, value_name = "FPS", default_value_t = 10.0)]
-    sequence_fps: f64,
     /// Histogram bins behind the entropy weights
     #[arg(long, value_name = "N", default_value = "30")]
     bins: NonZeroU16,
@@ -73,25 +66,9 @@ pub(super) struct ScoreArgs {
     /// Population behind the z-scores; `group` for groups of different cameras, sizes or frame rates
     #[arg(long, value_enum, default_value = "corpus")]
     normalise_within: NormaliseWithin,
-    /// Wall time for one video, seconds
-    #[arg(long, value_name = "SECONDS")]
-    deadline: Option<f64>,
-    /// Memory of one compute process, MiB
-    #[arg(long, value_name = "MIB")]
-    memory: Option<u64>,
     /// Print the summary as JSON on standard output
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum RungArg {
-    /// 128 px, coarse flow: triage
-    Draft,
-    /// 256 px: overnight
-    Standard,
-    /// 512 px, finest flow: decisions
-    Accurate,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -114,11 +91,7 @@ impl From<FormatArg> for Format {
 pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
     let json = args.json;
     let options = args.into_options()?;
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(2)
-        .enable_all()
-        .build()
-        .map_err(Failure::stopped)?;
+    let runtime = super::runtime()?;
     let finished = runtime.block_on(run::score(&options));
     // Children are ended by dropping their handles, which needs the runtime no longer.
     runtime.shutdown_background();
@@ -157,28 +130,9 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
 impl ScoreArgs {
     /// From what was typed to what is usable.
     fn into_options(self) -> Result<ScoreOptions, Failure> {
-        let mut settings = Settings::load().map_err(Failure::usage)?;
-        if let Some(deadline_s) = self.deadline {
-            settings.compute.deadline_s = deadline_s;
-        }
-        if let Some(memory_mib) = self.memory {
-            settings.compute.memory_mib = memory_mib;
-        }
-        settings.validate().map_err(Failure::usage)?;
-        if !(self.sequence_fps.is_finite() && self.sequence_fps > 0.0) {
-            return Err(Failure::usage("--sequence-fps must be above 0"));
-        }
-        let mut profile = Profile::new(match self.profile {
-            RungArg::Draft => Rung::Draft,
-            RungArg::Standard => Rung::Standard,
-            RungArg::Accurate => Rung::Accurate,
-        });
-        profile.conditioning_frames = self.conditioning_frames;
-        profile.warmup_frames = self.warmup;
-        profile.sequence_fps = self.sequence_fps;
-        profile.limits = settings.decode;
+        let Measuring { mut profile, slots } = self.measuring.usable(self.jobs)?;
+        let fault_calibration = self.thresholds.apply(&mut profile)?;
         let profile_digest = profile.digest().map_err(Failure::usage)?;
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Ok(ScoreOptions {
             sources: self.sources,
             out: self.out,
@@ -194,11 +148,9 @@ impl ScoreArgs {
             },
             resume: !self.no_resume,
             formats: self.format.into_iter().map(Format::from).collect(),
-            slots: Slots {
-                program: std::env::current_exe().map_err(Failure::stopped)?,
-                count: self.jobs.map_or(cores, usize::from),
-                limits: settings.compute,
-            },
+            fault_calibration,
+            heat_maps: self.heatmaps,
+            slots,
         })
     }
 }

@@ -137,7 +137,7 @@ fn tell_unscored(rows: &[Row]) {
 }
 
 /// A name on one line of a terminal: control characters are shown, not obeyed.
-fn printable(text: &str) -> String {
+pub(super) fn printable(text: &str) -> String {
     text.chars()
         .flat_map(|c| {
             if c.is_control() {

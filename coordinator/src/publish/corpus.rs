@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use crate::publish::error::PublishError;
 use crate::reduce::outcome::{CorpusStatistics, Population, SignalStatistics};
+use crate::thresholds::FaultCalibration;
 
 /// The profile that measured the corpus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,6 +30,9 @@ pub struct CorpusFile {
     pub profile: ProfileRecord,
     /// Leading frames left out of every statistic.
     pub conditioning_frames: u32,
+    /// Where the fault thresholds come from, if not from the profile.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault_calibration: Option<FaultCalibration>,
     /// What the reduce says.
     #[serde(flatten)]
     pub statistics: CorpusStatistics,

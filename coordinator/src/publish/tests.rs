@@ -297,6 +297,7 @@ fn corpus() -> CorpusFile {
             parameters: json!({"working_height_px": 256}),
         },
         conditioning_frames: 1,
+        fault_calibration: None,
         statistics: CorpusStatistics {
             statuses: BTreeMap::from([("scored".to_owned(), 1)]),
             decisions: BTreeMap::from([("keep".to_owned(), 1)]),

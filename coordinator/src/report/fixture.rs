@@ -167,6 +167,7 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
             parameters: json!({"working_height_px": 256, "flow": {"finest_scale": 1}}),
         },
         conditioning_frames: 1,
+        fault_calibration: None,
         statistics: CorpusStatistics {
             statuses: BTreeMap::new(),
             decisions: BTreeMap::new(),

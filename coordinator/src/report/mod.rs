@@ -26,6 +26,8 @@ mod fixture;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
+
 use plumbline_common::id::VideoId;
 use plumbline_common::message::Thumbnails;
 use plumbline_common::row::{Row, Status};
@@ -45,6 +47,8 @@ pub struct ReportInput<'a> {
     pub rows: &'a [Row],
     /// Pictures of a video at its peak frame, asked for the ranked videos only.
     pub thumbnails: &'a dyn Fn(&VideoId) -> Option<Thumbnails>,
+    /// Larger pictures of some videos: files beside the report, which is whole without them.
+    pub heat_maps: &'a BTreeMap<VideoId, String>,
     /// What the run cost; a report with costs differs from run to run.
     pub costs: Option<CostSummary>,
     /// Options of the run, as name and value, for the record.
@@ -102,7 +106,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
         motion::section(&judged),
         measures::section(input.corpus),
         ranking::best(input, &judged),
-        table::section(&judged),
+        table::section(input, &judged),
         statuses::section(input.rows),
         provenance::section(input),
     ];

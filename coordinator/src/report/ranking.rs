@@ -62,7 +62,7 @@ fn cards<'a>(
     html! {
         div.clips {
             @for scored in videos {
-                (card(scored, axis, (input.thumbnails)(&scored.row.video)))
+                (card(input, scored, axis))
             }
         }
     }
@@ -83,8 +83,9 @@ fn interval_axis(judged: &Judged<'_>) -> Axis {
     Axis::spanning(lo, hi).padded(0.02)
 }
 
-fn card(scored: &Scored<'_>, axis: Axis, thumbnails: Option<Thumbnails>) -> Markup {
+fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
     let row = scored.row;
+    let thumbnails = (input.thumbnails)(&row.video);
     let measured = &row.measured;
     let fact = |label: &str, value: String| {
         html! { div { dt { (label) } dd { (value) } } }
@@ -119,6 +120,9 @@ fn card(scored: &Scored<'_>, axis: Axis, thumbnails: Option<Thumbnails>) -> Mark
                 (fact("paper’s peak", peak))
             }
             @if let Some(faults) = faults::told(measured, FAULTS) { p.faults { b { "Faults " } (faults) } }
+            @if let Some(file) = input.heat_maps.get(&row.video) {
+                p.faults { a href=(file) { "Heat map of the worst frame" } }
+            }
             (sparkline(measured))
         }
     }

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::page::Section;
-use super::{Judged, Scored, text};
+use super::{Judged, ReportInput, Scored, text};
 use crate::publish::scores::scene_name;
 use crate::reduce::decision_name;
 
@@ -29,7 +29,7 @@ const HEADINGS: [(&str, bool); 15] = [
     ("Peak", true),
 ];
 
-pub(super) fn section(judged: &Judged<'_>) -> Section {
+pub(super) fn section(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
     let total = judged.worst_first.len();
     Section {
         id: "table",
@@ -43,7 +43,7 @@ pub(super) fn section(judged: &Judged<'_>) -> Section {
                 div.scroll.tall tabindex="0" role="region" aria-label="All scored videos" {
                     table #videos .numbers .dense {
                         thead { tr { @for (title, number) in HEADINGS { th scope="col" .left[!number] { (title) } } } }
-                        tbody { @for scored in judged.worst_first.iter().take(ROWS) { (line(scored)) } }
+                        tbody { @for scored in judged.worst_first.iter().take(ROWS) { (line(input, scored)) } }
                     }
                 }
             }
@@ -51,14 +51,17 @@ pub(super) fn section(judged: &Judged<'_>) -> Section {
     }
 }
 
-fn line(scored: &Scored<'_>) -> Markup {
+fn line(input: &ReportInput<'_>, scored: &Scored<'_>) -> Markup {
     let row = scored.row;
     let measured = &row.measured;
     let decision = decision_name(row.decision);
     html! {
         tr {
             td { (text::optional(row.rank)) }
-            td.left.long { (text::name(row.video.as_str())) }
+            td.left.long {
+                (text::name(row.video.as_str()))
+                @if let Some(file) = input.heat_maps.get(&row.video) { " " a href=(file) { "heat map" } }
+            }
             td.left.long { @if row.group.is_some() { (text::group(row.group.as_deref())) } @else { (text::MISSING) } }
             td.left { span class={ "tag " (decision) } { (decision) } }
             td { b { (text::signed(row.anomaly)) } }

@@ -27,6 +27,7 @@ fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> S
         corpus: &corpus,
         rows: &rows,
         thumbnails: &thumbnails,
+        heat_maps: &BTreeMap::new(),
         costs: Some(costs),
         options: &[("--group-by".to_owned(), "path:1".to_owned())],
         ranked: DEFAULT_RANKED,
@@ -195,6 +196,7 @@ fn a_picture_that_is_too_large_is_left_out() {
         title: "large pictures",
         corpus: &corpus,
         rows: &rows,
+        heat_maps: &BTreeMap::new(),
         thumbnails: &|_| {
             Some(Thumbnails {
                 frame_jpeg: vec![0; 10 << 20],

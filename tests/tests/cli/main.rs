@@ -1,7 +1,8 @@
 //! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
-//! `faults`: known faults in the published rows. `flow`: `plumbline flow`. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
+//! `faults`: known faults in the published rows. `flow`, `explain`, `heatmaps`, `reference`: the
+//! commands and flags of these names. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
 #![allow(
@@ -12,11 +13,14 @@
     reason = "a test fails by panicking, and says what it could not try"
 )]
 
+mod explain;
 mod faults;
 mod flow;
+mod heatmaps;
 mod hostile;
 mod main_path;
 mod paper;
+mod reference;
 mod resume;
 mod sources;
 mod system;

@@ -7,10 +7,11 @@
 //! is killed. The parent ends a child that passes its deadline.
 
 mod process;
+mod protocol;
 mod slot;
 
 pub use process::run;
-pub use slot::{ComputeLimits, ComputeSlot, Measured, SlotError};
+pub use slot::{ComputeLimits, ComputeSlot, Drawing, Measured, SlotError};
 
 /// The hidden first argument that makes a Plumbline binary a compute child.
 pub const CHILD_ARGUMENT: &str = "compute-child";

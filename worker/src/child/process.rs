@@ -1,16 +1,19 @@
-//! The child's side: limits first, then jobs from standard input, outcomes to standard output.
+//! The child's side: limits first, then requests from standard input, answers to standard output.
 
 use std::io::{BufWriter, Write};
 use std::sync::mpsc;
 
 use anyhow::Context;
 use plumbline_common::frame;
-use plumbline_common::message::{self, Job};
+use plumbline_common::message;
 use rustix::process::{Resource, Rlimit, setrlimit};
+use serde::Serialize;
 
-use crate::measure::measure;
+use super::protocol::{Drawn, Request};
+use crate::explain::{self, Picture};
+use crate::measure::{measure, measure_in_detail};
 
-/// Measures jobs until standard input closes.
+/// Answers requests until standard input closes.
 ///
 /// # Errors
 /// When the limits cannot be set, a job does not decode, or standard output is gone. The parent
@@ -31,12 +34,23 @@ pub fn run(memory_mib: u64) -> anyhow::Result<()> {
     });
     let mut stdout = BufWriter::new(std::io::stdout().lock());
     while let Ok(bytes) = inbox.recv() {
-        let job: Job = message::decode(&bytes)?;
-        let outcome = measure(&job)?;
-        frame::write(&mut stdout, &message::encode(&outcome)?)?;
-        stdout.flush()?;
+        match message::decode(&bytes)? {
+            Request::Measure(job) => send(&mut stdout, &measure(&job)?)?,
+            Request::Detail(job) => send(&mut stdout, &measure_in_detail(&job, None)?)?,
+            Request::Draw(job) => {
+                let mut hand_over =
+                    |picture: Picture| Ok(send(&mut stdout, &Drawn::Picture(picture))?);
+                let missing = explain::draw(&job, &mut hand_over)?;
+                send(&mut stdout, &Drawn::End(missing))?;
+            }
+        }
     }
     Ok(())
+}
+
+fn send(stdout: &mut impl Write, answer: &impl Serialize) -> anyhow::Result<()> {
+    frame::write(stdout, &message::encode(answer)?)?;
+    Ok(stdout.flush()?)
 }
 
 /// Memory as given; no core dumps and no file writes: the child only reads.

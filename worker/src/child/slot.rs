@@ -1,5 +1,6 @@
 //! The parent's side: one child per slot, started when needed, replaced when it dies.
 
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
@@ -7,12 +8,17 @@ use std::time::Duration;
 use plumbline_common::frame::{self, FrameError, HEADER_BYTES};
 use plumbline_common::message::{self, Job, MessageError, Outcome};
 use plumbline_common::row::{Cost, Measurement, Status};
+use plumbline_vision::faults::FaultSeries;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command};
 use tokio::task::JoinHandle;
 
+use super::protocol::{Drawn, Request};
 use super::{CHILD_ARGUMENT, MEMORY_ARGUMENT};
+use crate::explain::{DrawJob, Picture};
+use crate::measure::Detailed;
 
 /// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
 /// video that kills two children is the cause.
@@ -49,6 +55,17 @@ pub struct Measured {
     pub outcome: Outcome,
     /// 1, or 2 after a crash.
     pub attempts: u32,
+}
+
+/// How far a drawing came.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Drawing {
+    /// Every picture that there is was taken.
+    Whole,
+    /// Some are missing, for this reason.
+    Missing(String),
+    /// Whoever took them stopped.
+    Stopped,
 }
 
 /// What ends the run, since no child can do any work.
@@ -100,31 +117,77 @@ impl ComputeSlot {
     /// # Errors
     /// [`SlotError`], when no child can be started at all.
     pub async fn measure(&mut self, job: &Job) -> Result<Measured, SlotError> {
-        let request = message::encode(job)?;
+        let (answer, attempts) = self.ask(&Request::Measure(job.clone())).await?;
+        let outcome = answer.unwrap_or_else(|reason| failed(job, reason));
+        Ok(Measured { outcome, attempts })
+    }
+
+    /// The same with what is behind the row.
+    ///
+    /// # Errors
+    /// As [`Self::measure`].
+    pub async fn measure_in_detail(&mut self, job: &Job) -> Result<Detailed, SlotError> {
+        let (answer, _attempts) = self.ask(&Request::Detail(job.clone())).await?;
+        Ok(answer.unwrap_or_else(|reason| Detailed {
+            outcome: failed(job, reason),
+            times_s: Vec::new(),
+            faults: FaultSeries::default(),
+        }))
+    }
+
+    /// Draws pictures of one video and hands each to `take`, which says whether to go on. Tried once,
+    /// since what was taken cannot be taken back. Dropping the future ends the child.
+    ///
+    /// # Errors
+    /// [`SlotError`], when no child can be started at all.
+    pub async fn draw<F: FnMut(Picture) -> ControlFlow<()>>(
+        &mut self,
+        job: &DrawJob,
+        take: &mut F,
+    ) -> Result<Drawing, SlotError> {
+        let request = message::encode(&Request::Draw(job.clone()))?;
+        let mut running = match self.running.take() {
+            Some(running) => running,
+            None => self.spawn()?,
+        };
+        match tokio::time::timeout(self.deadline(), running.draw(&request, take)).await {
+            Ok(Ok(drawing)) => {
+                // Whoever stopped taking left pictures in the pipe: that child is of no more use.
+                if drawing != Drawing::Stopped {
+                    self.running = Some(running);
+                }
+                Ok(drawing)
+            }
+            Err(_elapsed) => Ok(Drawing::Missing(self.too_slow())),
+            Ok(Err(broken)) => Ok(Drawing::Missing(format!(
+                "the compute process died while drawing ({}); its memory limit is {} MiB (--memory)",
+                running.obituary(broken).await,
+                self.limits.memory_mib
+            ))),
+        }
+    }
+
+    /// One request and its answer, or the reason for none, and the number of attempts.
+    async fn ask<T: DeserializeOwned>(
+        &mut self,
+        request: &Request,
+    ) -> Result<(Result<T, String>, u32), SlotError> {
+        let request = message::encode(request)?;
         let mut reason = String::new();
         for attempts in 1..=MAX_ATTEMPTS {
             let mut running = match self.running.take() {
                 Some(running) => running,
                 None => self.spawn()?,
             };
-            // A time beyond all clocks is no deadline.
-            let deadline =
-                Duration::try_from_secs_f64(self.limits.deadline_s).unwrap_or(Duration::MAX);
-            match tokio::time::timeout(deadline, running.exchange(&request)).await {
-                Ok(Ok(outcome)) => {
+            match tokio::time::timeout(self.deadline(), running.exchange(&request)).await {
+                Ok(Ok(answer)) => {
                     self.running = Some(running);
-                    return Ok(Measured { outcome, attempts });
+                    return Ok((Ok(answer), attempts));
                 }
-                Err(_elapsed) => {
-                    let reason = format!(
-                        "not measured within {} s: shorten the clip or raise --deadline",
-                        self.limits.deadline_s
-                    );
-                    return Ok(failed(job, reason, attempts));
-                }
+                Err(_elapsed) => return Ok((Err(self.too_slow()), attempts)),
                 Ok(Err(broken)) => {
                     reason = running.obituary(broken).await;
-                    tracing::warn!(video = %job.video, attempts, reason, "compute child lost");
+                    tracing::warn!(attempts, reason, "compute child lost");
                 }
             }
         }
@@ -132,7 +195,19 @@ impl ComputeSlot {
             "the compute process died {MAX_ATTEMPTS} times ({reason}); its memory limit is {} MiB (--memory)",
             self.limits.memory_mib
         );
-        Ok(failed(job, reason, MAX_ATTEMPTS))
+        Ok((Err(reason), MAX_ATTEMPTS))
+    }
+
+    /// A time beyond all clocks is no deadline.
+    fn deadline(&self) -> Duration {
+        Duration::try_from_secs_f64(self.limits.deadline_s).unwrap_or(Duration::MAX)
+    }
+
+    fn too_slow(&self) -> String {
+        format!(
+            "not measured within {} s: shorten the clip or raise --deadline",
+            self.limits.deadline_s
+        )
     }
 
     fn spawn(&self) -> Result<Running, SlotError> {
@@ -166,10 +241,41 @@ impl ComputeSlot {
 }
 
 impl Running {
-    async fn exchange(&mut self, request: &[u8]) -> Result<Outcome, ExchangeError> {
+    async fn exchange<T: DeserializeOwned>(&mut self, request: &[u8]) -> Result<T, ExchangeError> {
+        self.send(request).await?;
+        self.receive().await
+    }
+
+    async fn draw<F: FnMut(Picture) -> ControlFlow<()>>(
+        &mut self,
+        request: &[u8],
+        take: &mut F,
+    ) -> Result<Drawing, ExchangeError> {
+        self.send(request).await?;
+        loop {
+            match self.receive().await? {
+                // A child that decodes hostile bytes is not taken at its word.
+                Drawn::Picture(picture) if !picture.is_whole() => {
+                    return Err(FrameError::Torn.into());
+                }
+                Drawn::Picture(picture) => {
+                    if take(picture).is_break() {
+                        return Ok(Drawing::Stopped);
+                    }
+                }
+                Drawn::End(None) => return Ok(Drawing::Whole),
+                Drawn::End(Some(reason)) => return Ok(Drawing::Missing(reason)),
+            }
+        }
+    }
+
+    async fn send(&mut self, request: &[u8]) -> Result<(), ExchangeError> {
         self.stdin.write_all(&frame::header(request)?).await?;
         self.stdin.write_all(request).await?;
-        self.stdin.flush().await?;
+        Ok(self.stdin.flush().await?)
+    }
+
+    async fn receive<T: DeserializeOwned>(&mut self) -> Result<T, ExchangeError> {
         let mut header = [0; HEADER_BYTES];
         self.stdout.read_exact(&mut header).await?;
         let mut payload = vec![0; frame::payload_len(&header)?];
@@ -245,14 +351,11 @@ async fn tail_of(mut stderr: ChildStderr) -> Vec<u8> {
     tail
 }
 
-fn failed(job: &Job, reason: String, attempts: u32) -> Measured {
-    Measured {
-        outcome: Outcome {
-            video: job.video.clone(),
-            measurement: Measurement::without_score(Status::Failed, reason),
-            cost: Cost::default(),
-            thumbnails: None,
-        },
-        attempts,
+fn failed(job: &Job, reason: String) -> Outcome {
+    Outcome {
+        video: job.video.clone(),
+        measurement: Measurement::without_score(Status::Failed, reason),
+        cost: Cost::default(),
+        thumbnails: None,
     }
 }

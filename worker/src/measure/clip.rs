@@ -12,7 +12,7 @@ use plumbline_common::row::{Measurement, Scene, Status};
 use plumbline_vision::consistency::{
     EndPointError, Evidence, GridFlow, NormalisedFrame, worldscore_epe,
 };
-use plumbline_vision::faults::ChangePair;
+use plumbline_vision::faults::{ChangePair, FaultKind, FaultSeries};
 use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
 use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
@@ -108,7 +108,17 @@ pub(super) struct Clip<'a> {
     geometry_problem: Option<SceneError>,
     observers: Option<Observers>,
     peak: Option<Peak>,
+    views: Views,
+    faults: FaultSeries,
     pub(super) spent: Spent,
+}
+
+/// What is kept for pictures beside the numbers; nothing unless asked.
+#[derive(Default)]
+struct Views {
+    wanted_maps: Vec<(FaultKind, usize)>,
+    error_maps: bool,
+    latest_error_px: Option<Plane>,
 }
 
 impl<'a> Clip<'a> {
@@ -127,8 +137,27 @@ impl<'a> Clip<'a> {
             geometry_problem,
             observers: None,
             peak: None,
+            views: Views::default(),
+            faults: FaultSeries::default(),
             spent: Spent::default(),
         }
+    }
+
+    /// Keeps, from now on, the fault maps of these kinds and frames, and each frame's end-point error.
+    pub(super) fn keep_views(&mut self, wanted_maps: Vec<(FaultKind, usize)>) {
+        self.views.wanted_maps = wanted_maps;
+        self.views.error_maps = true;
+    }
+
+    /// The end-point error of the frame pushed last against the one before, on its working grid, px of
+    /// a 256-px-high picture, 0 where out of frame. `None` without a pair, or when not kept.
+    pub(super) fn take_error_px(&mut self) -> Option<Plane> {
+        self.views.latest_error_px.take()
+    }
+
+    /// Every fault score of the finished clip, with the maps that were kept.
+    pub(super) fn take_faults(&mut self) -> FaultSeries {
+        std::mem::take(&mut self.faults)
     }
 
     /// Takes the next frame and measures it against the frames before.
@@ -242,7 +271,11 @@ impl<'a> Clip<'a> {
         let span = |span: u32| find(current.index.checked_sub(span)?);
         let mut observers = match self.observers.take() {
             Some(observers) => observers,
-            None => Observers::new(self.profile, current.index)?,
+            None => {
+                let mut observers = Observers::new(self.profile, current.index)?;
+                observers.keep_maps(&self.views.wanted_maps);
+                observers
+            }
         };
         observers.frame(current, span(1), span(2))?;
         let is_step = observers.is_step(current)?;
@@ -278,19 +311,27 @@ impl<'a> Clip<'a> {
             let peak = self.peak.as_ref();
             peak.is_none_or(|peak| *error_px > peak.error_px)
         };
-        if let Some(error_px) = signals.aepe_px.filter(is_worst) {
+        let worst = signals.aepe_px.filter(is_worst);
+        if worst.is_some() || self.views.error_maps {
             // The map of the way back lies on the later frame, which is the one shown.
             let back = EndPointError::new(&edge.backward, &edge.forward, params).map_err(&error)?;
             let shown = |error_px: &Option<f32>| error_px.unwrap_or(0.0);
-            self.peak = Some(Peak {
-                error_px,
-                frame: later.rgb.clone(),
-                heat: Plane {
-                    width: back.width,
-                    height: back.height,
-                    data: back.error_px.iter().map(shown).collect(),
-                },
-            });
+            let heat = Plane {
+                width: back.width,
+                height: back.height,
+                data: back.error_px.iter().map(shown).collect(),
+            };
+            if self.views.error_maps {
+                self.views.latest_error_px = Some(heat.clone());
+            }
+            if let Some(error_px) = worst {
+                let frame = later.rgb.clone();
+                self.peak = Some(Peak {
+                    error_px,
+                    frame,
+                    heat,
+                });
+            }
         }
         self.pairs.push(Pair {
             frame: later.index,
@@ -356,7 +397,9 @@ impl<'a> Clip<'a> {
         }
         let static_camera = row.scene == Some(Scene::StaticCamera);
         if let Some(observers) = self.observers.take().filter(|_| !pairs.is_empty()) {
-            fill::observed(&mut row, &observers.finish(static_camera));
+            let observed = observers.finish(static_camera);
+            fill::observed(&mut row, &observed);
+            self.faults = observed.faults;
         }
         if row.status == Status::Scored && row.reproj_px.is_none() && row.aepe_px.is_none() {
             row.status = Status::Failed;

@@ -19,7 +19,11 @@ use std::time::Instant;
 use plumbline_common::message::{Job, Outcome};
 use plumbline_common::row::{Cost, Measurement, Status};
 
-use crate::decode::{DecodeError, VideoInfo};
+use plumbline_vision::faults::{FaultKind, FaultSeries};
+use plumbline_vision::image::Plane;
+use serde::{Deserialize, Serialize};
+
+use crate::decode::{DecodeError, DecodedFrame, VideoInfo};
 use crate::profile::Profile;
 use clip::{Clip, ClipError};
 use read::{Input, ReadError};
@@ -34,19 +38,54 @@ pub enum MeasureError {
     Profile(#[from] serde_json::Error),
 }
 
+/// An outcome with what a row has no room for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Detailed {
+    /// The same as without detail, bit for bit.
+    pub outcome: Outcome,
+    /// Presentation time of every decoded frame, seconds since the first.
+    pub times_s: Vec<f64>,
+    /// Every fault score; empty where no pair was measured.
+    pub faults: FaultSeries,
+}
+
+/// What is looked at while a clip is measured, for pictures of it.
+pub(crate) struct View<'a> {
+    /// Fault maps to keep.
+    pub(crate) wanted_maps: Vec<(FaultKind, usize)>,
+    /// Takes every frame, with its end-point error against the frame before where there is one (px of a
+    /// 256-px-high picture, 0 where out of frame), and says whether to go on.
+    pub(crate) on_frame: &'a mut dyn FnMut(DecodedFrame, Option<Plane>) -> ControlFlow<()>,
+}
+
 /// Measures one video. Whatever is wrong with the video becomes a typed row.
 ///
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
 pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
+    Ok(measure_in_detail(job, None)?.outcome)
+}
+
+/// Measures one video and gives what is behind the row, too.
+///
+/// # Errors
+/// [`MeasureError`], when the job is wrong.
+pub(crate) fn measure_in_detail(
+    job: &Job,
+    mut view: Option<View<'_>>,
+) -> Result<Detailed, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
     let started = Instant::now();
     let mut clip = Clip::new(&profile);
+    if let Some(view) = &mut view {
+        clip.keep_views(std::mem::take(&mut view.wanted_maps));
+    }
+    let mut times_s = Vec::new();
     let mut cost = Cost::default();
     let input = Input::open(job, &profile.limits);
     let measurement = match &input {
         Ok(input) => {
-            let mut row = match stream(input, &profile, &mut clip) {
+            let mut row = match stream(input, &profile, &mut clip, &mut times_s, view) {
                 Ok(info) => clip.finish(&info),
                 Err(refused) => refused.row(),
             };
@@ -61,11 +100,15 @@ pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
     cost.decode_s = (cost.total_s - cost.flow_s - cost.signals_s - cost.geometry_s).max(0.0);
-    Ok(Outcome {
-        video: job.video.clone(),
-        measurement,
-        cost,
-        thumbnails: clip.thumbnails(),
+    Ok(Detailed {
+        outcome: Outcome {
+            video: job.video.clone(),
+            measurement,
+            cost,
+            thumbnails: clip.thumbnails(),
+        },
+        times_s,
+        faults: clip.take_faults(),
     })
 }
 
@@ -75,13 +118,26 @@ enum Refused {
     Clip(ClipError),
 }
 
-fn stream(input: &Input, profile: &Profile, clip: &mut Clip<'_>) -> Result<VideoInfo, Refused> {
+fn stream(
+    input: &Input,
+    profile: &Profile,
+    clip: &mut Clip<'_>,
+    times_s: &mut Vec<f64>,
+    mut view: Option<View<'_>>,
+) -> Result<VideoInfo, Refused> {
     let mut refused = None;
-    let info = input.decode(profile, &mut |frame| match clip.push(frame) {
-        Ok(()) => ControlFlow::Continue(()),
-        Err(error) => {
-            refused = Some(error);
-            ControlFlow::Break(())
+    let info = input.decode(profile, &mut |frame| {
+        times_s.push(frame.time_s);
+        let shown = view.as_ref().map(|_| frame.clone());
+        match clip.push(frame) {
+            Ok(()) => match (&mut view, shown) {
+                (Some(view), Some(shown)) => (view.on_frame)(shown, clip.take_error_px()),
+                _ => ControlFlow::Continue(()),
+            },
+            Err(error) => {
+                refused = Some(error);
+                ControlFlow::Break(())
+            }
         }
     });
     match (info, refused) {

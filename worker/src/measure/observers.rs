@@ -4,7 +4,9 @@
 use std::rc::Rc;
 
 use plumbline_vision::consistency::Evidence;
-use plumbline_vision::faults::{FaultEvent, FaultInput, FaultStream, FaultThresholds};
+use plumbline_vision::faults::{
+    FaultEvent, FaultInput, FaultKind, FaultSeries, FaultStream, FaultThresholds,
+};
 use plumbline_vision::signals::arc::{ArcClip, ArcSelector, ArcSignals};
 use plumbline_vision::signals::contact::{Contact, ContactStream};
 
@@ -25,6 +27,8 @@ pub(super) struct Observers {
 pub(super) struct Observed {
     /// Faults, the most severe first; `None` where the profile is not calibrated for any.
     pub(super) events: Option<Vec<FaultEvent>>,
+    /// Every score behind them.
+    pub(super) faults: FaultSeries,
     /// U·R_c, where the camera stands still.
     pub(super) contact: Option<Contact>,
     /// accs, Sd and sh.
@@ -42,6 +46,11 @@ impl Observers {
             arc: ArcSignals::new(profile.arc.clone()).map_err(at("constant motion", frame))?,
             kept: None,
         })
+    }
+
+    /// Keeps the fault maps of these kinds and frames.
+    pub(super) fn keep_maps(&mut self, wanted: &[(FaultKind, usize)]) {
+        self.faults.keep_maps(wanted);
     }
 
     /// Takes the next frame with its edges to the frame before and to the one before that.
@@ -96,6 +105,7 @@ impl Observers {
         let calibrated = self.thresholds != FaultThresholds::UNCALIBRATED;
         Observed {
             events: calibrated.then(|| series.events(&self.thresholds)),
+            faults: series,
             contact: self.contact.finish().filter(|_| static_camera),
             arc: self.arc.finish(),
         }

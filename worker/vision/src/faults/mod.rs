@@ -24,7 +24,7 @@ pub use event::FaultEvent;
 pub use pair::ChangePair;
 pub use params::FaultParams;
 pub use peak::Place;
-pub use series::{FaultPoint, FaultSeries, PeakMap};
+pub use series::{FaultPoint, FaultSeries, KeptMap, PeakMap};
 pub use stream::{FaultInput, FaultStream};
 pub use thresholds::{FaultThresholds, ThresholdError, fit_thresholds};
 

@@ -28,13 +28,29 @@ pub struct PeakMap {
     pub map: Plane,
 }
 
-/// The scores of a clip.
-#[derive(Debug, Clone, PartialEq, Default)]
+/// The map behind one score, kept because it was asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KeptMap {
+    /// The detector.
+    pub kind: FaultKind,
+    /// Its score on the map's frame, and where.
+    pub point: FaultPoint,
+    /// `[H, W]` on the evidence grid, no unit, before the box mean of the peak.
+    pub map: Plane,
+}
+
+/// The scores of a clip. Its serial form has the scores and no map.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct FaultSeries {
     /// Columns and rows of the evidence grid; `None` of an empty clip.
     pub grid_size: Option<(usize, usize)>,
     pub(super) points: [Vec<FaultPoint>; FaultKind::ALL.len()],
+    #[serde(skip)]
     pub(super) peaks: [Option<PeakMap>; FaultKind::ALL.len()],
+    #[serde(skip)]
+    pub(super) wanted: Vec<(FaultKind, usize)>,
+    #[serde(skip)]
+    pub(super) kept: Vec<KeptMap>,
 }
 
 impl FaultSeries {
@@ -55,6 +71,13 @@ impl FaultSeries {
     #[must_use]
     pub fn peak_map(&self, kind: FaultKind) -> Option<&PeakMap> {
         self.peaks[kind as usize].as_ref()
+    }
+
+    /// The maps that [`super::FaultStream::keep_maps`] asked for, in the order in which they were
+    /// settled; a freeze has none.
+    #[must_use]
+    pub fn kept_maps(&self) -> &[KeptMap] {
+        &self.kept
     }
 
     /// The events above the thresholds, the most severe first (by score over threshold, then frame,
@@ -91,6 +114,10 @@ impl FaultSeries {
     }
 
     pub(super) fn add(&mut self, kind: FaultKind, point: FaultPoint, map: Plane) {
+        if self.wanted.contains(&(kind, point.frame)) {
+            let map = map.clone();
+            self.kept.push(KeptMap { kind, point, map });
+        }
         let slot = &mut self.peaks[kind as usize];
         if slot.as_ref().is_none_or(|peak| point.score > peak.score) {
             *slot = Some(PeakMap {

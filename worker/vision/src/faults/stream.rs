@@ -79,6 +79,12 @@ impl FaultStream {
         })
     }
 
+    /// Keeps the maps of these kinds and frames when they are settled; ask before the frames come. Each
+    /// map costs its plane in memory.
+    pub fn keep_maps(&mut self, wanted: &[(FaultKind, usize)]) {
+        self.series.wanted.extend_from_slice(wanted);
+    }
+
     /// Takes the next frame.
     ///
     /// # Errors
@@ -105,6 +111,9 @@ impl FaultStream {
     #[must_use]
     pub fn finish(mut self, camera_is_static: bool) -> FaultSeries {
         if !camera_is_static {
+            self.series
+                .kept
+                .retain(|map| !map.kind.needs_static_camera());
             for kind in FaultKind::ALL {
                 if kind.needs_static_camera() {
                     self.series.points[kind as usize].clear();

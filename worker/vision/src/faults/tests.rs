@@ -121,6 +121,33 @@ fn a_single_bad_frame_is_found_at_itself_and_nowhere_else() {
     assert_eq!(jumps, [7, 8]);
 }
 
+/// Maps that are asked for by kind and frame are kept, and only those.
+#[test]
+fn asked_maps_are_kept() {
+    let mut stream = FaultStream::new(FaultParams::default()).unwrap();
+    stream.keep_maps(&[(FaultKind::Jump, 7), (FaultKind::Freeze, 7)]);
+    let pictures = [picture(ground), picture(patch)];
+    for frame in 0..12 {
+        let current = &pictures[usize::from(frame >= 7)];
+        let previous = &pictures[usize::from(frame > 7)];
+        let adjacent = (frame > 0).then(|| pair(previous, current, [0.0; 2]));
+        let input = FaultInput {
+            frame,
+            picture: current,
+            adjacent: adjacent.as_ref(),
+            skip: None,
+        };
+        stream.push(input).unwrap();
+    }
+    let series = stream.finish(true);
+    let [kept] = series.kept_maps() else {
+        panic!("{:?}", series.kept_maps());
+    };
+    assert_eq!((kept.kind, kept.point.frame), (FaultKind::Jump, 7));
+    let peak = series.peak_map(FaultKind::Jump).unwrap();
+    assert_eq!((&kept.map, kept.point.score), (&peak.map, peak.score));
+}
+
 #[test]
 fn appearing_and_vanishing_are_told_apart_and_dated_to_the_first_frame_after() {
     let frames = |first: fn(usize, usize) -> f32, then: fn(usize, usize) -> f32| {

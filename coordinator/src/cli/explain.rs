@@ -1,0 +1,81 @@
+//! `plumbline explain`: one video's absolute assessment, told in a few lines and in files.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
+use super::summary::printable;
+use super::{Failure, exit};
+use crate::explain::{self, ExplainOptions, Explained, RunError};
+use crate::progress::say;
+
+/// Explains one video: its series, peak and faults with frame, time and place, heat maps, and an overlay video
+#[derive(Debug, Args)]
+pub(super) struct ExplainArgs {
+    /// The video, or a directory of numbered images
+    #[arg(value_name = "VIDEO")]
+    video: String,
+    /// Directory for the results; those of an earlier explanation are replaced
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    measuring: MeasuringArgs,
+    #[command(flatten)]
+    thresholds: ThresholdsArg,
+    /// Print explain.json on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: ExplainArgs) -> Result<u8, Failure> {
+    let Measuring { mut profile, slots } = args.measuring.usable(Some(1))?;
+    let fault_calibration = args.thresholds.apply(&mut profile)?;
+    let options = ExplainOptions {
+        video: args.video,
+        out: args.out,
+        profile,
+        fault_calibration,
+        slots,
+    };
+    let runtime = super::runtime()?;
+    let explained = runtime.block_on(explain::explain(&options));
+    runtime.shutdown_background();
+    match explained {
+        Ok(explained) => {
+            tell(&explained);
+            if args.json {
+                let out = options.out.display();
+                writeln!(std::io::stdout(), "{}", explained.json).map_err(|error| {
+                    Failure::stopped(format!(
+                        "explain.json cannot be written to standard output ({error}); the results are whole, in {out}"
+                    ))
+                })?;
+            }
+            Ok(if explained.complete() {
+                exit::OK
+            } else {
+                exit::INCOMPLETE
+            })
+        }
+        Err(error) => Err(Failure {
+            code: match &error {
+                RunError::Interrupted => exit::INTERRUPTED,
+                RunError::Corpus(_)
+                | RunError::NotOne { .. }
+                | RunError::OutInUse { .. }
+                | RunError::ScoresThere { .. }
+                | RunError::Profile(_) => exit::USAGE,
+                _ => exit::STOPPED,
+            },
+            message: error.to_string(),
+        }),
+    }
+}
+
+fn tell(explained: &Explained) {
+    for line in explained.summary() {
+        say(&printable(&line));
+    }
+}

@@ -1,0 +1,105 @@
+//! The options by which every command measures videos: profile, limits, and who computes.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use plumbline_worker::profile::{Profile, Rung};
+
+use super::Failure;
+use crate::fanout::Slots;
+use crate::settings::Settings;
+use crate::thresholds::{self, FaultCalibration};
+
+/// What was typed.
+#[derive(Debug, Args)]
+pub(super) struct MeasuringArgs {
+    /// Rung of the speed/accuracy ladder
+    #[arg(long, value_enum, default_value = "standard")]
+    profile: RungArg,
+    /// Leading frames left out of every statistic (frame 0 of a rollout is often a real picture)
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    conditioning_frames: u32,
+    /// Frames up to this index cannot be the paper's peak frame t*
+    #[arg(long, value_name = "T", default_value_t = 7)]
+    warmup: u32,
+    /// Frames per second of directories of numbered images
+    #[arg(long, value_name = "FPS", default_value_t = 10.0)]
+    sequence_fps: f64,
+    /// Wall time for one video, seconds
+    #[arg(long, value_name = "SECONDS")]
+    deadline: Option<f64>,
+    /// Memory of one compute process, MiB
+    #[arg(long, value_name = "MIB")]
+    memory: Option<u64>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum RungArg {
+    /// 128 px, coarse flow: triage
+    Draft,
+    /// 256 px: overnight
+    Standard,
+    /// 512 px, finest flow: decisions
+    Accurate,
+}
+
+/// Thresholds in place of the profile's own.
+#[derive(Debug, Args)]
+pub(super) struct ThresholdsArg {
+    /// Fault thresholds that `reference fit --faults` wrote, in place of the profile's own
+    #[arg(long, value_name = "FILE")]
+    fault_thresholds: Option<PathBuf>,
+}
+
+impl ThresholdsArg {
+    /// Puts them into the profile, where given and fitted for it.
+    pub(super) fn apply(&self, profile: &mut Profile) -> Result<Option<FaultCalibration>, Failure> {
+        let Some(path) = &self.fault_thresholds else {
+            return Ok(None);
+        };
+        let (thresholds, calibration) = thresholds::load(path, profile).map_err(Failure::usage)?;
+        profile.fault_thresholds = thresholds;
+        Ok(Some(calibration))
+    }
+}
+
+/// What is usable.
+pub(super) struct Measuring {
+    pub(super) profile: Profile,
+    pub(super) slots: Slots,
+}
+
+impl MeasuringArgs {
+    /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
+    pub(super) fn usable(self, jobs: Option<u16>) -> Result<Measuring, Failure> {
+        let mut settings = Settings::load().map_err(Failure::usage)?;
+        if let Some(deadline_s) = self.deadline {
+            settings.compute.deadline_s = deadline_s;
+        }
+        if let Some(memory_mib) = self.memory {
+            settings.compute.memory_mib = memory_mib;
+        }
+        settings.validate().map_err(Failure::usage)?;
+        if !(self.sequence_fps.is_finite() && self.sequence_fps > 0.0) {
+            return Err(Failure::usage("--sequence-fps must be above 0"));
+        }
+        let mut profile = Profile::new(match self.profile {
+            RungArg::Draft => Rung::Draft,
+            RungArg::Standard => Rung::Standard,
+            RungArg::Accurate => Rung::Accurate,
+        });
+        profile.conditioning_frames = self.conditioning_frames;
+        profile.warmup_frames = self.warmup;
+        profile.sequence_fps = self.sequence_fps;
+        profile.limits = settings.decode;
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Ok(Measuring {
+            profile,
+            slots: Slots {
+                program: std::env::current_exe().map_err(Failure::stopped)?,
+                count: jobs.map_or(cores, usize::from),
+                limits: settings.compute,
+            },
+        })
+    }
+}

@@ -1,0 +1,397 @@
+//! The story of `plumbline explain`: measure one video as `score` does, draw it, write it down.
+//!
+//! The numbers come from the same compute child and the same code as a score row and are equal to it,
+//! bit for bit. `explain.json` disappears first and is written last, so that it is there exactly when
+//! everything else is.
+
+mod document;
+mod series;
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+
+use plumbline_common::row::{Measurement, Status};
+use plumbline_vision::faults::{FaultEvent, FaultKind, FaultSeries};
+use plumbline_vision::image::Rgb8;
+use plumbline_worker::child::{ComputeSlot, Drawing, SlotError};
+use plumbline_worker::encode::{EncodeError, Mp4Writer};
+use plumbline_worker::explain::{DrawError, DrawJob, Marked, Picture, PictureName, Subject};
+use plumbline_worker::measure::Detailed;
+use plumbline_worker::profile::Profile;
+
+use crate::corpus::{self, CorpusError, Entry};
+use crate::fanout::Slots;
+use crate::lease::Lease;
+use crate::picture::{self, PngError};
+use crate::publish::{CORPUS_FILE, OutDir, PublishError};
+use crate::run::{STATE_DIRECTORY, unreadable};
+use crate::stop::StopSignals;
+use crate::thresholds::FaultCalibration;
+
+/// The mark of a finished explanation.
+const EXPLAIN_FILE: &str = "explain.json";
+const FAULTS_FILE: &str = "faults.json";
+const SERIES_CSV: &str = "series.csv";
+const SERIES_PNG: &str = "series.png";
+const OVERLAY_FILE: &str = "overlay.mp4";
+/// Where heat maps are.
+pub(crate) const HEAT_MAP_DIRECTORY: &str = "heatmaps";
+
+/// Faults drawn, the most severe first: a broken clip has dozens, and who looks wants the worst.
+const DRAWN_FAULTS: usize = 8;
+
+/// Rate of the overlay where the video has none (a single frame).
+const DEFAULT_FPS: f64 = 10.0;
+
+/// A usable `plumbline explain`.
+#[derive(Debug, Clone)]
+pub struct ExplainOptions {
+    /// The video, as typed.
+    pub video: String,
+    /// Where results go.
+    pub out: PathBuf,
+    /// How it is measured.
+    pub profile: Profile,
+    /// Where its fault thresholds come from, if not from the profile.
+    pub fault_calibration: Option<FaultCalibration>,
+    /// Who computes; one slot is used.
+    pub slots: Slots,
+}
+
+/// An explained video.
+#[derive(Debug)]
+pub struct Explained {
+    /// Where it is.
+    pub out: PathBuf,
+    /// The row's part that does not depend on a corpus.
+    pub measured: Measurement,
+    /// Its faults, the most severe first.
+    pub faults: Vec<FaultEvent>,
+    /// Presentation time of every frame, seconds.
+    pub times_s: Vec<f64>,
+    /// Why pictures are missing, where some are.
+    pub undrawn: Option<String>,
+    /// The content of `explain.json`.
+    pub json: String,
+}
+
+impl Explained {
+    /// Whether the video is judged and every picture drawn.
+    #[must_use]
+    pub fn complete(&self) -> bool {
+        matches!(self.measured.status, Status::Scored | Status::Static) && self.undrawn.is_none()
+    }
+
+    /// What a person wants to know first, a line each.
+    #[must_use]
+    pub fn summary(&self) -> Vec<String> {
+        document::summary(self)
+    }
+}
+
+/// Why nothing was explained.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The video is not there.
+    #[error(transparent)]
+    Corpus(#[from] CorpusError),
+    /// Several videos.
+    #[error("{source_text}: holds {videos} videos; name one of them")]
+    NotOne {
+        /// As typed.
+        source_text: String,
+        /// How many.
+        videos: usize,
+    },
+    /// OUT belongs to a run of `score`.
+    #[error("{out}: holds the results of a score run; choose another --out")]
+    ScoresThere {
+        /// OUT.
+        out: String,
+    },
+    /// Another run writes to the same place.
+    #[error("{out}: another plumbline run is writing there; wait for it or choose another --out")]
+    OutInUse {
+        /// OUT.
+        out: String,
+    },
+    /// The profile cannot be written down.
+    #[error("the profile cannot be encoded: {0}")]
+    Profile(serde_json::Error),
+    /// OUT cannot be written.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+    /// A picture does not encode.
+    #[error(transparent)]
+    Png(#[from] PngError),
+    /// The plot cannot be drawn.
+    #[error(transparent)]
+    Draw(#[from] DrawError),
+    /// The overlay does not encode.
+    #[error(transparent)]
+    Overlay(#[from] EncodeError),
+    /// No compute process can be started.
+    #[error(transparent)]
+    Slot(#[from] SlotError),
+    /// Ctrl-C or SIGTERM.
+    #[error("interrupted before the explanation was whole; run the same command again")]
+    Interrupted,
+}
+
+/// Explains one video.
+///
+/// # Errors
+/// [`RunError`]; `explain.json` is then absent.
+pub async fn explain(options: &ExplainOptions) -> Result<Explained, RunError> {
+    let entry = the_video(options)?;
+    let out_name = || options.out.display().to_string();
+    let out = OutDir::create(&options.out)?;
+    if out.root().join(CORPUS_FILE).exists() {
+        return Err(RunError::ScoresThere { out: out_name() });
+    }
+    let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
+    let _lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse { out: out_name() })?;
+    clear(&out)?;
+
+    let mut stop = StopSignals::listen();
+    tokio::select! {
+        explained = explain_into(options, &entry, &out) => explained,
+        () = stop.recv() => Err(RunError::Interrupted),
+    }
+}
+
+fn the_video(options: &ExplainOptions) -> Result<Entry, RunError> {
+    let sources = std::slice::from_ref(&options.video);
+    let mut entries = corpus::freeze(sources, None, &options.out)?.entries;
+    match entries.pop() {
+        Some(entry) if entries.is_empty() => Ok(entry),
+        _ => Err(RunError::NotOne {
+            source_text: options.video.clone(),
+            videos: entries.len() + 1,
+        }),
+    }
+}
+
+/// Removes what an earlier explanation left, its mark first.
+fn clear(out: &OutDir) -> Result<(), PublishError> {
+    for name in [
+        EXPLAIN_FILE,
+        FAULTS_FILE,
+        SERIES_CSV,
+        SERIES_PNG,
+        OVERLAY_FILE,
+    ] {
+        out.remove(name)?;
+    }
+    out.sweep_partials()?;
+    for name in picture::videos_left_in(out)?
+        .into_iter()
+        .chain(picture::heat_maps_in(out)?)
+    {
+        out.remove(&name)?;
+    }
+    Ok(())
+}
+
+async fn explain_into(
+    options: &ExplainOptions,
+    entry: &Entry,
+    out: &OutDir,
+) -> Result<Explained, RunError> {
+    let profile = options.profile.canonical().map_err(RunError::Profile)?;
+    let mut slot = ComputeSlot::new(options.slots.program.clone(), options.slots.limits);
+    let job = crate::run::job(entry, &profile);
+    let Detailed {
+        outcome,
+        times_s,
+        faults,
+    } = match &job {
+        Some(job) => slot.measure_in_detail(job).await?,
+        None => unread(entry),
+    };
+    let measured = outcome.measurement;
+    let events = match measured.fault_frames {
+        Some(_) => faults.events(&options.profile.fault_thresholds),
+        None => Vec::new(),
+    };
+    let plan = Plan::new(&measured, &events);
+    let mut files = Vec::new();
+    let mut undrawn = None;
+    if let Some(job) = job.filter(|_| measured.frames.is_some()) {
+        let request = DrawJob {
+            job,
+            heat_maps: plan.heat_maps.iter().map(|map| map.what).collect(),
+            overlay: true,
+            marked: Marked {
+                events: events.clone(),
+                grid_size: faults.grid_size,
+                times_s: times_s.clone(),
+                first_frame: measured.series.first_frame,
+                aepe_px: measured.series.aepe_px.clone(),
+            },
+        };
+        undrawn = draw(&mut slot, &request, &plan, &measured, out, &mut files).await?;
+    }
+    if !times_s.is_empty() {
+        let table = series::Table {
+            measured: &measured,
+            faults: &faults,
+            thresholds: &options.profile.fault_thresholds,
+            times_s: &times_s,
+        };
+        out.put_atomic(SERIES_CSV, &table.csv())?;
+        let plot = table.plot()?;
+        out.put_atomic(SERIES_PNG, &picture::png(&plot)?)?;
+        files.extend([SERIES_CSV.to_owned(), SERIES_PNG.to_owned()]);
+    }
+    files.extend([FAULTS_FILE.to_owned(), EXPLAIN_FILE.to_owned()]);
+    let story = document::Story {
+        options,
+        entry,
+        measured: &measured,
+        events: &events,
+        grid_size: faults.grid_size,
+        times_s: &times_s,
+        plan: &plan,
+        files: &files,
+        undrawn: undrawn.as_deref(),
+    };
+    let pretty =
+        |value: &serde_json::Value| serde_json::to_string_pretty(value).map_err(RunError::Profile);
+    out.put_atomic(
+        FAULTS_FILE,
+        format!("{}\n", pretty(&story.faults())?).as_bytes(),
+    )?;
+    let json = pretty(&story.explanation().map_err(RunError::Profile)?)?;
+    out.put_atomic(EXPLAIN_FILE, format!("{json}\n").as_bytes())?;
+    Ok(Explained {
+        out: options.out.clone(),
+        measured,
+        faults: events,
+        times_s,
+        undrawn,
+        json,
+    })
+}
+
+/// What an entry that cannot be looked at gives.
+fn unread(entry: &Entry) -> Detailed {
+    Detailed {
+        outcome: plumbline_common::message::Outcome {
+            video: entry.video.clone(),
+            measurement: unreadable(entry),
+            cost: plumbline_common::row::Cost::default(),
+            thumbnails: None,
+        },
+        times_s: Vec::new(),
+        faults: FaultSeries::default(),
+    }
+}
+
+/// A heat map to draw.
+struct HeatMap {
+    what: (Subject, u32),
+    file: String,
+    /// Which of the faults, if one.
+    fault: Option<usize>,
+}
+
+/// The heat maps of an explanation: the most severe faults, then the worst end-point error.
+struct Plan {
+    heat_maps: Vec<HeatMap>,
+    /// Frame and mean end-point error of the worst pair.
+    worst_pair: Option<(u32, f64)>,
+}
+
+impl Plan {
+    fn new(measured: &Measurement, events: &[FaultEvent]) -> Self {
+        let has_map = |event: &FaultEvent| event.kind != FaultKind::Freeze;
+        let faults = events.iter().enumerate();
+        let drawn = faults
+            .filter(|(_, event)| has_map(event))
+            .take(DRAWN_FAULTS);
+        let mut heat_maps: Vec<HeatMap> = drawn
+            .enumerate()
+            .map(|(place, (fault, event))| HeatMap {
+                what: (Subject::Fault(event.kind), event.frame as u32),
+                file: picture::heat_map_name(place + 1, event.kind.as_str(), event.frame as u32),
+                fault: Some(fault),
+            })
+            .collect();
+        let worst_pair = picture::worst_pair(measured);
+        if let Some((frame, _)) = worst_pair {
+            heat_maps.push(HeatMap {
+                what: (Subject::EndPointError, frame),
+                file: picture::heat_map_name(heat_maps.len() + 1, "end_point_error", frame),
+                fault: None,
+            });
+        }
+        Self {
+            heat_maps,
+            worst_pair,
+        }
+    }
+}
+
+/// Draws and writes the pictures; gives the reason where some are missing.
+async fn draw(
+    slot: &mut ComputeSlot,
+    request: &DrawJob,
+    plan: &Plan,
+    measured: &Measurement,
+    out: &OutDir,
+    files: &mut Vec<String>,
+) -> Result<Option<String>, RunError> {
+    let mut overlay: Option<Mp4Writer> = None;
+    let mut write = |picture: Picture| -> Result<(), RunError> {
+        let rgb = Rgb8 {
+            width: picture.width as usize,
+            height: picture.height as usize,
+            data: picture.rgb,
+        };
+        match picture.name {
+            PictureName::HeatMap(place) => {
+                let Some(map) = plan.heat_maps.get(place) else {
+                    return Ok(());
+                };
+                out.put_atomic(&map.file, &picture::png(&rgb)?)?;
+                files.push(map.file.clone());
+                Ok(())
+            }
+            PictureName::OverlayFrame => {
+                let writer = match &mut overlay {
+                    Some(writer) => writer,
+                    None => overlay.insert(Mp4Writer::create(
+                        &out.root().join(OVERLAY_FILE),
+                        picture.width,
+                        picture.height,
+                        measured.fps.unwrap_or(DEFAULT_FPS),
+                    )?),
+                };
+                Ok(writer.push(&rgb)?)
+            }
+        }
+    };
+    let mut failure = None;
+    let mut take = |picture| match write(picture) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(error) => {
+            failure = Some(error);
+            ControlFlow::Break(())
+        }
+    };
+    let drawing = slot.draw(request, &mut take).await?;
+    if let Some(failure) = failure {
+        return Err(failure);
+    }
+    match drawing {
+        Drawing::Missing(reason) => Ok(Some(reason)),
+        Drawing::Whole | Drawing::Stopped => {
+            if let Some(writer) = overlay {
+                writer.finish()?;
+                files.push(OVERLAY_FILE.to_owned());
+            }
+            Ok(None)
+        }
+    }
+}

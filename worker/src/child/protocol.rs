@@ -1,0 +1,30 @@
+//! What parent and child say to each other beside outcomes: requests, and pictures.
+//!
+//! One request, then its answer: an [`Outcome`](plumbline_common::message::Outcome) for `Measure`, a
+//! [`Detailed`](crate::measure::Detailed) for `Detail`, for `Draw` any number of [`Drawn::Picture`] and
+//! one [`Drawn::End`]. Both sides are the same binary, so the form may change with any version.
+
+use plumbline_common::message::Job;
+use serde::{Deserialize, Serialize};
+
+use crate::explain::{DrawJob, Picture};
+
+/// What a child is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) enum Request {
+    /// The row.
+    Measure(Job),
+    /// The row and what is behind it.
+    Detail(Job),
+    /// Pictures of a video.
+    Draw(DrawJob),
+}
+
+/// One message of the answer to [`Request::Draw`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) enum Drawn {
+    /// A picture.
+    Picture(Picture),
+    /// There is no more; the reason where some are missing.
+    End(Option<String>),
+}
