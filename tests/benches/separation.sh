@@ -52,7 +52,7 @@ score() {
 echo "measuring $data/rollouts" >&2
 score paper "$data/rollouts" original
 score balanced "$data/rollouts" original
-for control in half_rate half_size crf28 crf35; do
+for control in crf35 half_rate half_size crf28; do
     echo "measuring recorded clips, $control" >&2
     score balanced "$work/degraded/$control" "$control"
 done

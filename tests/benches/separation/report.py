@@ -15,7 +15,7 @@ import stats
 
 PAPER = "paper"
 # Recipes among which leave-one-source-out chooses.
-CHOICES = [PAPER, "P+T", "trio", "balanced"]
+CHOICES = [PAPER, "P+T", "trio of means", "trio", "balanced of means", "balanced"]
 # A published score and its recomputation may differ by rounding only.
 SAME_SCORE = 1e-9
 
