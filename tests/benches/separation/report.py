@@ -171,9 +171,13 @@ def scene_pairs(original, source):
 
 def print_controls(runs, original, columns, figures):
     print("## Controls on recorded clips\n")
-    degraded = {
-        kind: controls.Degraded(original, C.load(runs / f"{kind}.balanced.jsonl")) for kind in controls.KINDS
-    }
+    files = {kind: runs / f"{kind}.balanced.jsonl" for kind in controls.KINDS}
+    degraded = {kind: controls.Degraded(original, C.load(path)) for kind, path in files.items() if path.exists()}
+    absent = [controls.KINDS[kind] for kind in controls.KINDS if kind not in degraded]
+    if absent:
+        print(f"Not measured in this run: {', '.join(absent)}; a kind below rests on the others.\n")
+    if not degraded:
+        return
     recorded = ~original.generated & original.scored
     reference = {n: v[recorded] for n, v in columns.items()}
     print(
@@ -187,7 +191,7 @@ def print_controls(runs, original, columns, figures):
         "Kind, by rule: `fingerprint` where some degradation moves the recorded clips as far from .50 as generation does, `physics` where none moves them by more than .10, "
         "`mixed` between.\n"
     )
-    rows, missing = [], {kind: 0 for kind in controls.KINDS}
+    rows, missing = [], dict.fromkeys(degraded, 0)
     wanted = {C.COLUMNS[n]: [[n]] for n in C.COLUMNS} | C.FAMILIES
     for name, families in wanted.items():
         single = name not in C.FAMILIES
@@ -206,7 +210,7 @@ def print_controls(runs, original, columns, figures):
         separation = mean_of(figures[name], C.MAIN)
         kind = "baseline" if name in ("frames", "motion_px") else controls.kind_of(separation[0], aurocs)
         rows.append((name, *cells, f"{short(mean)}, {short(most)}", f"{motion:+.2f}", cell(separation), kind))
-    table(("", *controls.KINDS.values(), "other source", "motion", "mean of 4", "kind"), rows)
+    table(("", *(controls.KINDS[kind] for kind in degraded), "other source", "motion", "mean of 4", "kind"), rows)
     lost = ", ".join(f"{n} of {controls.KINDS[kind]}" for kind, n in missing.items() if n)
     print(f"Copies without a `balanced` score: {lost or 'none'}.\n")
 
