@@ -9,6 +9,7 @@
 # Degraded copies of the recorded clips (half rate, half size, x264 at crf 28 and 35) are measured too.
 # JOBS (default 2) is the number of clips measured at once. Needs ffmpeg and python3 with venv.
 set -euo pipefail
+export PYTHONDONTWRITEBYTECODE=1
 cd "$(dirname "$0")/../.."
 data=$(realpath "${1:-../shared/data}")
 jobs=${JOBS:-2}
