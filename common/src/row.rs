@@ -110,10 +110,16 @@ pub struct Series {
     pub motion_px: Vec<Option<f64>>,
     /// accs of the two steps of constant visual motion that end here; defined on kept frames only.
     pub layer_acceleration: Vec<Option<f64>>,
+    /// Lower quartile of the same over cells.
+    #[serde(default)]
+    pub layer_acceleration_q25: Vec<Option<f64>>,
     /// Sd of the step that ends here.
     pub interior_shear: Vec<Option<f64>>,
     /// sh of the points that end here.
     pub detail_change: Vec<Option<f64>>,
+    /// Lower quartile of the same over cells.
+    #[serde(default)]
+    pub detail_change_q25: Vec<Option<f64>>,
 }
 
 /// What one worker says of one video, whatever else is in the corpus.
@@ -157,10 +163,14 @@ pub struct Measurement {
     pub appearance_ratio: Option<f64>,
     /// accs, clip median over steps of constant visual motion: layers that do not keep their motion.
     pub layer_acceleration: Option<f64>,
+    /// The same of the lower quartile over cells: even what is followed best does not keep its motion.
+    pub layer_acceleration_q25: Option<f64>,
     /// Sd, clip median, 1/px: rigid interiors that shear.
     pub interior_shear: Option<f64>,
     /// sh, clip median: moving surfaces that change their detail.
     pub detail_change: Option<f64>,
+    /// The same of the lower quartile over cells: even what is followed best changes its detail.
+    pub detail_change_q25: Option<f64>,
     /// U·R_c: low where nothing is touched and the clip has little to be judged by.
     pub contact: Option<f64>,
     /// The frame of the most severe fault.
@@ -207,8 +217,10 @@ impl Measurement {
             piecewise_residual: None,
             appearance_ratio: None,
             layer_acceleration: None,
+            layer_acceleration_q25: None,
             interior_shear: None,
             detail_change: None,
+            detail_change_q25: None,
             contact: None,
             peak_frame: None,
             fault_frames: None,
@@ -257,12 +269,12 @@ pub struct Row {
     pub z_piecewise_residual: Option<f64>,
     /// Robust z of T, clipped to [−3, 6].
     pub z_appearance_ratio: Option<f64>,
-    /// Robust z of accs, clipped to [−3, 6].
-    pub z_layer_acceleration: Option<f64>,
+    /// Robust z of accs (lower quartile), clipped to [−3, 6].
+    pub z_layer_acceleration_q25: Option<f64>,
     /// Robust z of Sd, clipped to [−3, 6].
     pub z_interior_shear: Option<f64>,
-    /// Robust z of sh, clipped to [−3, 6].
-    pub z_detail_change: Option<f64>,
+    /// Robust z of sh (lower quartile), clipped to [−3, 6].
+    pub z_detail_change_q25: Option<f64>,
     /// S_r: the relative anomaly score of the chosen recipe; lower is better.
     pub anomaly: Option<f64>,
     /// Lower end of its 90% interval (block bootstrap over frame pairs).

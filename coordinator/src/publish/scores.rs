@@ -71,11 +71,17 @@ fn measured() -> Vec<Column<Row>> {
         Column::field("layer_acceleration", Float64, |r| {
             r.measured.layer_acceleration.into()
         }),
+        Column::field("layer_acceleration_q25", Float64, |r| {
+            r.measured.layer_acceleration_q25.into()
+        }),
         Column::field("interior_shear", Float64, |r| {
             r.measured.interior_shear.into()
         }),
         Column::field("detail_change", Float64, |r| {
             r.measured.detail_change.into()
+        }),
+        Column::field("detail_change_q25", Float64, |r| {
+            r.measured.detail_change_q25.into()
         }),
         Column::field("contact", Float64, |r| r.measured.contact.into()),
     ]
@@ -94,11 +100,13 @@ fn judged() -> Vec<Column<Row>> {
         Column::field("z_appearance_ratio", Float64, |r| {
             r.z_appearance_ratio.into()
         }),
-        Column::field("z_layer_acceleration", Float64, |r| {
-            r.z_layer_acceleration.into()
+        Column::field("z_layer_acceleration_q25", Float64, |r| {
+            r.z_layer_acceleration_q25.into()
         }),
         Column::field("z_interior_shear", Float64, |r| r.z_interior_shear.into()),
-        Column::field("z_detail_change", Float64, |r| r.z_detail_change.into()),
+        Column::field("z_detail_change_q25", Float64, |r| {
+            r.z_detail_change_q25.into()
+        }),
         Column::field("anomaly", Float64, |r| r.anomaly.into()),
         Column::field("anomaly_lo", Float64, |r| r.anomaly_lo.into()),
         Column::field("anomaly_hi", Float64, |r| r.anomaly_hi.into()),
@@ -157,9 +165,10 @@ mod tests {
     const DOCUMENTED: &str = "video, group, status, status_reason, digest, bytes, frames, fps, \
         width, height, duration_s, scene, motion_px, reproj_px, reproj_method, aepe_px, \
         aepe_worldscore_px, occluded_fraction, piecewise_residual, appearance_ratio, \
-        layer_acceleration, interior_shear, detail_change, contact, \
+        layer_acceleration, layer_acceleration_q25, interior_shear, detail_change, detail_change_q25, \
+        contact, \
         z_reproj_px, z_aepe_worldscore_px, z_piecewise_residual, z_appearance_ratio, \
-        z_layer_acceleration, z_interior_shear, z_detail_change, anomaly, \
+        z_layer_acceleration_q25, z_interior_shear, z_detail_change_q25, anomaly, \
         anomaly_lo, anomaly_hi, rank, percentile, decision, reward, peak_frame, paper_peak_frame, \
         peak_reliable, mean_error, max_jump, fault_frames, fault_kinds, recipe, profile_digest";
 

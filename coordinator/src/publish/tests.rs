@@ -33,9 +33,9 @@ fn row(video: &str, carried: Value) -> Row {
         z_aepe_worldscore_px: None,
         z_piecewise_residual: None,
         z_appearance_ratio: None,
-        z_layer_acceleration: None,
+        z_layer_acceleration_q25: None,
         z_interior_shear: None,
-        z_detail_change: None,
+        z_detail_change_q25: None,
         anomaly: None,
         anomaly_lo: None,
         anomaly_hi: None,
@@ -72,8 +72,10 @@ fn full_row(video: &str, carried: Value) -> Row {
             piecewise_residual: Some(0.1),
             appearance_ratio: Some(2.0),
             layer_acceleration: Some(0.11),
+            layer_acceleration_q25: Some(0.07),
             interior_shear: Some(0.006),
             detail_change: Some(0.2),
+            detail_change_q25: Some(0.1),
             contact: Some(0.03),
             peak_frame: Some(12),
             fault_frames: Some(vec![12, 3]),
@@ -88,9 +90,9 @@ fn full_row(video: &str, carried: Value) -> Row {
         z_aepe_worldscore_px: Some(-1.5),
         z_piecewise_residual: Some(0.25),
         z_appearance_ratio: Some(-0.25),
-        z_layer_acceleration: Some(0.125),
+        z_layer_acceleration_q25: Some(0.125),
         z_interior_shear: Some(-3.0),
-        z_detail_change: Some(6.0),
+        z_detail_change_q25: Some(6.0),
         anomaly: Some(0.5),
         anomaly_lo: Some(0.25),
         anomaly_hi: Some(0.75),
@@ -193,7 +195,7 @@ fn parquet_and_jsonl_say_the_same() {
     for (json, parquet) in from_jsonl.iter().zip(&from_parquet) {
         let names: Vec<_> = json.keys().collect();
         assert_eq!(names, parquet.keys().collect::<Vec<_>>());
-        assert_eq!(names.len(), 47 + 8);
+        assert_eq!(names.len(), 49 + 8);
         for (column, value) in json {
             assert_eq!(as_in_parquet(column, value), parquet[column], "{column}");
         }

@@ -117,9 +117,9 @@ fn pair_values(series: &Series, signal: Signal) -> &[Option<f64>] {
         Signal::AepeWorldscorePx => &series.aepe_worldscore_px,
         Signal::PiecewiseResidual => &series.piecewise_residual,
         Signal::AppearanceRatio => &series.appearance_ratio,
-        Signal::LayerAcceleration => &series.layer_acceleration,
+        Signal::LayerAcceleration => &series.layer_acceleration_q25,
         Signal::InteriorShear => &series.interior_shear,
-        Signal::DetailChange => &series.detail_change,
+        Signal::DetailChange => &series.detail_change_q25,
     }
 }
 

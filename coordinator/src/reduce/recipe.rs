@@ -23,11 +23,11 @@ pub enum Signal {
     PiecewiseResidual,
     /// T.
     AppearanceRatio,
-    /// accs.
+    /// accs, the lower quartile over cells.
     LayerAcceleration,
     /// Sd.
     InteriorShear,
-    /// sh.
+    /// sh, the lower quartile over cells.
     DetailChange,
 }
 
@@ -64,9 +64,9 @@ impl Signal {
             Self::AepeWorldscorePx => "aepe_worldscore_px",
             Self::PiecewiseResidual => "piecewise_residual",
             Self::AppearanceRatio => "appearance_ratio",
-            Self::LayerAcceleration => "layer_acceleration",
+            Self::LayerAcceleration => "layer_acceleration_q25",
             Self::InteriorShear => "interior_shear",
-            Self::DetailChange => "detail_change",
+            Self::DetailChange => "detail_change_q25",
         }
     }
 
@@ -78,9 +78,9 @@ impl Signal {
             Self::AepeWorldscorePx => measured.aepe_worldscore_px,
             Self::PiecewiseResidual => measured.piecewise_residual,
             Self::AppearanceRatio => measured.appearance_ratio,
-            Self::LayerAcceleration => measured.layer_acceleration,
+            Self::LayerAcceleration => measured.layer_acceleration_q25,
             Self::InteriorShear => measured.interior_shear,
-            Self::DetailChange => measured.detail_change,
+            Self::DetailChange => measured.detail_change_q25,
         }
     }
 

@@ -44,8 +44,10 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         piecewise_residual,
         appearance_ratio,
         layer_acceleration,
+        layer_acceleration_q25,
         interior_shear,
         detail_change,
+        detail_change_q25,
         contact,
         peak_frame: _,
         fault_frames: _,
@@ -66,10 +68,12 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         appearance_ratio: series_appearance_ratio,
         motion_px: series_motion_px,
         layer_acceleration: series_layer_acceleration,
+        layer_acceleration_q25: series_layer_acceleration_q25,
         interior_shear: series_interior_shear,
         detail_change: series_detail_change,
+        detail_change_q25: series_detail_change_q25,
     } = series;
-    let columns: [(&str, &mut [Option<f64>]); 24] = [
+    let columns: [(&str, &mut [Option<f64>]); 28] = [
         ("fps", std::slice::from_mut(fps)),
         ("duration_s", std::slice::from_mut(duration_s)),
         ("motion_px", std::slice::from_mut(motion_px)),
@@ -89,8 +93,13 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
             "layer_acceleration",
             std::slice::from_mut(layer_acceleration),
         ),
+        (
+            "layer_acceleration_q25",
+            std::slice::from_mut(layer_acceleration_q25),
+        ),
         ("interior_shear", std::slice::from_mut(interior_shear)),
         ("detail_change", std::slice::from_mut(detail_change)),
+        ("detail_change_q25", std::slice::from_mut(detail_change_q25)),
         ("contact", std::slice::from_mut(contact)),
         ("mean_error", std::slice::from_mut(mean_error)),
         ("max_jump", std::slice::from_mut(max_jump)),
@@ -101,8 +110,13 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         ("series.appearance_ratio", series_appearance_ratio),
         ("series.motion_px", series_motion_px),
         ("series.layer_acceleration", series_layer_acceleration),
+        (
+            "series.layer_acceleration_q25",
+            series_layer_acceleration_q25,
+        ),
         ("series.interior_shear", series_interior_shear),
         ("series.detail_change", series_detail_change),
+        ("series.detail_change_q25", series_detail_change_q25),
     ];
     let mut first = None;
     for (name, values) in columns {

@@ -118,12 +118,12 @@ fn paper_recipe_by_hand() {
 fn balanced_recipe_by_hand() {
     let mut videos = corpus();
     for video in &mut videos {
-        video.measurement.layer_acceleration = video.measurement.piecewise_residual;
+        video.measurement.layer_acceleration_q25 = video.measurement.piecewise_residual;
     }
     let found = reduce(videos, &options(Recipe::Balanced, 2, "s<=0"));
     let scores: Vec<_> = found.rows.iter().map(|row| row.anomaly).collect();
     assert_eq!(scores, [Some(-1.5), Some(-0.625), Some(0.375), Some(1.375)]);
-    assert_eq!(found.rows[3].z_layer_acceleration, Some(1.5));
+    assert_eq!(found.rows[3].z_layer_acceleration_q25, Some(1.5));
     assert_eq!(found.rows[0].z_appearance_ratio, None);
     assert_eq!(found.rows[1].z_aepe_worldscore_px, Some(-1.0));
     assert!(

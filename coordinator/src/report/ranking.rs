@@ -113,9 +113,9 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
                 (fact("z end-point", text::signed(row.z_aepe_worldscore_px)))
                 (fact("z piecewise", text::signed(row.z_piecewise_residual)))
                 (fact("z appearance", text::signed(row.z_appearance_ratio)))
-                (fact("z acceleration", text::signed(row.z_layer_acceleration)))
+                (fact("z acceleration", text::signed(row.z_layer_acceleration_q25)))
                 (fact("z shear", text::signed(row.z_interior_shear)))
-                (fact("z detail", text::signed(row.z_detail_change)))
+                (fact("z detail", text::signed(row.z_detail_change_q25)))
                 (fact("motion, px", text::magnitude(measured.motion_px)))
                 (fact("paper’s peak", peak))
             }

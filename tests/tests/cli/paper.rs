@@ -174,7 +174,11 @@ fn the_balanced_recipe_is_the_mean_of_robust_z() {
     let rows = published.rows();
     let families: [&[&str]; 2] = [
         &["piecewise_residual", "appearance_ratio"],
-        &["layer_acceleration", "interior_shear", "detail_change"],
+        &[
+            "layer_acceleration_q25",
+            "interior_shear",
+            "detail_change_q25",
+        ],
     ];
     let ruler = |name: &str| {
         let values: Vec<f64> = rows.iter().filter_map(|row| row[name].as_f64()).collect();

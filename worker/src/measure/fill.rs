@@ -27,8 +27,10 @@ pub(super) fn photometric(row: &mut Measurement, pairs: &[(u32, &PairSignals)]) 
         appearance_ratio: series(|signals| signals.appearance_ratio),
         motion_px: series(|signals| signals.motion_px),
         layer_acceleration: undefined.clone(),
+        layer_acceleration_q25: undefined.clone(),
         interior_shear: undefined.clone(),
-        detail_change: undefined,
+        detail_change: undefined.clone(),
+        detail_change_q25: undefined,
     };
     row.aepe_px = mean(&row.series.aepe_px);
     row.aepe_worldscore_px = mean(&row.series.aepe_worldscore_px);
@@ -73,19 +75,25 @@ pub(super) fn observed(row: &mut Measurement, observed: &Observed) {
     }
     row.contact = observed.contact.map(|contact| contact.score());
     row.layer_acceleration = observed.arc.layer_acceleration;
+    row.layer_acceleration_q25 = observed.arc.layer_acceleration_q25;
     row.interior_shear = observed.arc.interior_shear;
     row.detail_change = observed.arc.detail_change;
+    row.detail_change_q25 = observed.arc.detail_change_q25;
     for step in &observed.arc.steps {
         let ArcStep {
             frame,
             layer_acceleration,
+            layer_acceleration_q25,
             interior_shear,
             detail_change,
+            detail_change_q25,
         } = *step;
         if let Some(place) = place(row, frame) {
             row.series.layer_acceleration[place] = layer_acceleration;
+            row.series.layer_acceleration_q25[place] = layer_acceleration_q25;
             row.series.interior_shear[place] = interior_shear;
             row.series.detail_change[place] = detail_change;
+            row.series.detail_change_q25[place] = detail_change_q25;
         }
     }
 }

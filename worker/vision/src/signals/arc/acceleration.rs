@@ -4,16 +4,21 @@
 //! With F the step's flow and G the next step's, looked up at x + F:
 //! d = (|F| + |G|)/2 + 1; counted k: F consistent, ρ of the next step at x + F below 1, d > 2;
 //! α = clip(box(k G·F) / (box(k |F|²) + 0.2), −2, 3); S = G − α F;
-//! H = S − box(k S) / (box(k) + 0.001); accs = mean over k of min(|H| / d, 4). No unit.
+//! H = S − box(k S) / (box(k) + 0.001); accs = mean (or lower quartile) over k of min(|H| / d, 4). No
+//! unit.
 
-use super::{ArcParams, CellMean, end_point};
+use super::{ArcParams, CellSample, CellSummary, end_point};
 use crate::consistency::Evidence;
 use crate::image::{Bilinear, Plane, box_mean};
 
 /// accs of two successive steps, the later on the grid of the earlier's second frame; `None` with too
 /// few counted cells or on grids of different size.
 #[must_use]
-pub fn layer_acceleration(step: &Evidence, next: &Evidence, params: &ArcParams) -> Option<f64> {
+pub fn layer_acceleration(
+    step: &Evidence,
+    next: &Evidence,
+    params: &ArcParams,
+) -> Option<CellSummary> {
     let (width, height) = (step.width, step.height);
     if (width, height) != (next.width, next.height) || width * height == 0 {
         return None;
@@ -58,13 +63,13 @@ pub fn layer_acceleration(step: &Evidence, next: &Evidence, params: &ArcParams) 
         })
         .collect();
     let common = [0, 1].map(|axis| smooth(&|cell| change[cell][axis]));
-    let mut mean = CellMean::default();
+    let mut sample = CellSample::default();
     for cell in (0..cells).filter(|&cell| counted[cell]) {
         let weight = share.data[cell] + accel.share_offset;
         let own = [0, 1].map(|axis| change[cell][axis] - common[axis].data[cell] / weight);
-        mean.add((norm(own) / denominator[cell]).min(accel.residual_limit));
+        sample.add((norm(own) / denominator[cell]).min(accel.residual_limit));
     }
-    mean.over(params.min_cells)
+    sample.over(params.min_cells)
 }
 
 fn dot(a: [f32; 2], b: [f32; 2]) -> f32 {

@@ -1,11 +1,11 @@
 //! sh, the detail change: how much fine texture moving surfaces gain or lose over four steps.
 //!
 //! D = box7 |G − Gauss₂(G)|. Points start at every cell of a kept frame and follow the chained flow;
-//! one is lost when ρ there is not below 1 or it comes within the margin. sh = mean
-//! |ln((D_later(X) + 1) / (D + 1))| over points alive throughout and displaced by more than 3 px. No
+//! one is lost when ρ there is not below 1 or it comes within the margin. sh = mean (or lower quartile)
+//! of |ln((D_later(X) + 1) / (D + 1))| over points alive throughout and displaced by more than 3 px. No
 //! unit.
 
-use super::{ArcParams, CellMean, DetailParams};
+use super::{ArcParams, CellSample, CellSummary, DetailParams};
 use crate::consistency::{Evidence, NormalisedFrame};
 use crate::image::{Bilinear, Plane, box_mean, gaussian_blur};
 
@@ -42,7 +42,7 @@ pub fn detail_change<'a>(
     steps: impl IntoIterator<Item = &'a Evidence>,
     last: &DetailFrame,
     params: &ArcParams,
-) -> Option<f64> {
+) -> Option<CellSummary> {
     let size = first.size();
     let steps: Vec<&Evidence> = steps.into_iter().collect();
     let fits = |step: &&Evidence| (step.width, step.height) == size;
@@ -54,7 +54,7 @@ pub fn detail_change<'a>(
     let margin = params.detail.margin_cells;
     let offset = params.detail.detail_offset;
     let limit = params.detail.min_displacement_px;
-    let mut mean = CellMean::default();
+    let mut sample = CellSample::default();
     for y in margin..height.saturating_sub(margin) {
         for x in margin..width.saturating_sub(margin) {
             let start = [x as f32, y as f32];
@@ -68,10 +68,10 @@ pub fn detail_change<'a>(
             let at = Bilinear::at(end[0], end[1], width, height);
             let before = first.level.data[y * width + x] + offset;
             let after = last.level.bilinear(at) + offset;
-            mean.add(libm::logf(after / before).abs());
+            sample.add(libm::logf(after / before).abs());
         }
     }
-    mean.over(params.min_cells)
+    sample.over(params.min_cells)
 }
 
 /// Where a point ends, cells; `None` once it is lost.

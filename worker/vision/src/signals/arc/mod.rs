@@ -8,6 +8,10 @@
 //! - interior shear (Sd): rigid interiors do not shear;
 //! - detail change (sh): moving surfaces keep their detail over four steps.
 //!
+//! accs and sh come as the mean over a step's cells (the definition of `evidence.md`) and as the
+//! lower quartile, which flow that fails at a layer's edge does not reach: it is high only where even
+//! the part that is followed best does not keep its motion or its detail.
+//!
 //! Evidence grid, flow in pixels of a picture 256 px high. A step with too little to go by is `None`.
 //! Fails with [`ArcError`] on inputs of changing size.
 
@@ -203,6 +207,44 @@ impl CellMean {
 
     fn over(self, min_cells: usize) -> Option<f64> {
         (self.cells > min_cells).then(|| self.sum / self.cells as f64)
+    }
+}
+
+/// What a step's cells have in common.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CellSummary {
+    /// The mean over the cells, in order.
+    pub mean: f64,
+    /// The value that a quarter of the cells stay below, linear between cells.
+    pub lower_quartile: f64,
+}
+
+/// The values of a step's cells.
+#[derive(Debug, Clone, Default)]
+struct CellSample {
+    mean: CellMean,
+    values: Vec<f32>,
+}
+
+impl CellSample {
+    fn add(&mut self, value: f32) {
+        self.mean.add(value);
+        self.values.push(value);
+    }
+
+    /// Of more than `min_cells` cells, else `None`.
+    fn over(mut self, min_cells: usize) -> Option<CellSummary> {
+        let mean = self.mean.over(min_cells)?;
+        let place = (self.values.len().checked_sub(1)?) as f64 / 4.0;
+        let (_, &mut below, above) = self
+            .values
+            .select_nth_unstable_by(place as usize, f32::total_cmp);
+        let above = above.iter().copied().min_by(f32::total_cmp);
+        let step = above.map_or(0.0, |above| f64::from(above) - f64::from(below));
+        Some(CellSummary {
+            mean,
+            lower_quartile: f64::from(below) + place.fract() * step,
+        })
     }
 }
 

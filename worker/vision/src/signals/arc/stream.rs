@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::detail::{DetailFrame, detail_change};
-use super::{ArcError, ArcParams, interior_shear, layer_acceleration};
+use super::{ArcError, ArcParams, CellSummary, interior_shear, layer_acceleration};
 use crate::consistency::{Evidence, NormalisedFrame};
 use crate::signals::median;
 
@@ -16,10 +16,14 @@ pub struct ArcStep {
     pub frame: usize,
     /// accs of the two steps that end here.
     pub layer_acceleration: Option<f64>,
+    /// Lower quartile of the same.
+    pub layer_acceleration_q25: Option<f64>,
     /// Sd of the step that ends here, 1/px.
     pub interior_shear: Option<f64>,
     /// sh of the points that end here; only at every second kept frame.
     pub detail_change: Option<f64>,
+    /// Lower quartile of the same.
+    pub detail_change_q25: Option<f64>,
 }
 
 /// The clip's values: medians over the steps; `None` with too few of them.
@@ -27,10 +31,14 @@ pub struct ArcStep {
 pub struct ArcClip {
     /// accs.
     pub layer_acceleration: Option<f64>,
+    /// The same, of the lower quartile over cells.
+    pub layer_acceleration_q25: Option<f64>,
     /// Sd, 1/px.
     pub interior_shear: Option<f64>,
     /// sh.
     pub detail_change: Option<f64>,
+    /// The same, of the lower quartile over cells.
+    pub detail_change_q25: Option<f64>,
     /// One per kept frame but the first.
     pub steps: Vec<ArcStep>,
 }
@@ -116,8 +124,10 @@ impl ArcSignals {
         };
         ArcClip {
             layer_acceleration: clip_value(|step| step.layer_acceleration),
+            layer_acceleration_q25: clip_value(|step| step.layer_acceleration_q25),
             interior_shear: clip_value(|step| step.interior_shear),
             detail_change: clip_value(|step| step.detail_change),
+            detail_change_q25: clip_value(|step| step.detail_change_q25),
             steps: self.steps,
         }
     }
@@ -136,14 +146,16 @@ impl ArcSignals {
         let detail_change = self.detail_change(detail);
         ArcStep {
             frame,
-            layer_acceleration,
+            layer_acceleration: layer_acceleration.map(|cells| cells.mean),
+            layer_acceleration_q25: layer_acceleration.map(|cells| cells.lower_quartile),
             interior_shear,
-            detail_change,
+            detail_change: detail_change.map(|cells| cells.mean),
+            detail_change_q25: detail_change.map(|cells| cells.lower_quartile),
         }
     }
 
     /// sh of the points that started `steps` kept frames before this one, if any did there.
-    fn detail_change(&self, last: &DetailFrame) -> Option<f64> {
+    fn detail_change(&self, last: &DetailFrame) -> Option<CellSummary> {
         let detail = &self.params.detail;
         let start = self.frames.checked_sub(detail.steps)?;
         if start % detail.stride != 0 {

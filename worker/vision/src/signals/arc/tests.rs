@@ -41,16 +41,22 @@ fn a_layer_that_speeds_up_or_turns_steadily_has_no_acceleration_of_its_own() {
     let rigid = |scale: f32| evidence(move |_, _| [4.0 * scale, 3.0 * scale]);
     // α takes any change of speed; what remains is the 0.2 px² beside |F|² = 25, most of it common
     // and so removed too.
-    let faster = layer_acceleration(&rigid(1.0), &rigid(1.5), &params).unwrap();
+    let faster = layer_acceleration(&rigid(1.0), &rigid(1.5), &params)
+        .unwrap()
+        .mean;
     assert!(faster < 1e-3, "{faster}");
-    let turned = layer_acceleration(&rigid(1.0), &evidence(|_, _| [3.0, 4.0]), &params).unwrap();
+    let turned = layer_acceleration(&rigid(1.0), &evidence(|_, _| [3.0, 4.0]), &params)
+        .unwrap()
+        .mean;
     assert!(turned < 2e-3, "{turned}");
     // Every other cell jerks by ±2 px: |H| = 2, d = 5 + 1 or a little more.
     let jerk = evidence(|x, y| {
         let sign = if (x + y) % 2 == 0 { 1.0 } else { -1.0 };
         [4.0 + 2.0 * sign, 3.0]
     });
-    let own = layer_acceleration(&evidence(|_, _| [4.0, 4.0]), &jerk, &params).unwrap();
+    let own = layer_acceleration(&evidence(|_, _| [4.0, 4.0]), &jerk, &params)
+        .unwrap()
+        .mean;
     assert!((0.2..0.5).contains(&own), "{own}");
     // Too slow to count.
     let slow = evidence(|_, _| [0.5, 0.0]);
@@ -112,19 +118,49 @@ fn layer_acceleration_equals_its_definition() {
         let ratio = (product / (energy + 0.2)).clamp(-2.0, 3.0);
         change[cell] = [0, 1].map(|k| later[cell][k] - ratio * at(cell)[k]);
     }
-    let (mut sum, mut count) = (0.0, 0.0);
+    let mut residuals = Vec::new();
     for cell in (0..cells).filter(|&cell| counted[cell]) {
         let share = window(cell, &|_| 1.0) + 0.001;
         let own = [0, 1].map(|k| change[cell][k] - window(cell, &|c| change[c][k]) / share);
-        sum += (own[0].hypot(own[1]) / d[cell]).min(4.0);
-        count += 1.0;
+        residuals.push((own[0].hypot(own[1]) / d[cell]).min(4.0));
     }
     let found = layer_acceleration(&step, &next, &ArcParams::default()).unwrap();
+    let mean = residuals.iter().sum::<f64>() / residuals.len() as f64;
+    residuals.sort_unstable_by(f64::total_cmp);
+    let place = (residuals.len() - 1) as f64 / 4.0;
+    let (below, above) = (residuals[place as usize], residuals[place.ceil() as usize]);
+    let quartile = below + place.fract() * (above - below);
     // f32 sums of 225 products up to 13; cells on the edge of k may fall on either side.
-    assert!(
-        (found - sum / count).abs() < 1e-5,
-        "{found} {}",
-        sum / count
+    for (found, expected) in [(found.mean, mean), (found.lower_quartile, quartile)] {
+        assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+    }
+}
+
+#[test]
+fn a_step_is_summed_up_by_mean_and_lower_quartile() {
+    let sample = |values: &[f32]| {
+        let mut sample = CellSample::default();
+        for &value in values {
+            sample.add(value);
+        }
+        sample.over(3)
+    };
+    assert_eq!(sample(&[1.0, 2.0, 3.0]), None);
+    let summary = |mean, lower_quartile| {
+        Some(CellSummary {
+            mean,
+            lower_quartile,
+        })
+    };
+    // The quartile's place is (n − 1)/4: 3/4 of the way from 1 to 2, and the second of five.
+    assert_eq!(sample(&[4.0, 2.0, 1.0, 3.0]), summary(2.5, 1.75));
+    assert_eq!(sample(&[9.0, 2.0, 1.0, 3.0, 5.0]), summary(4.0, 2.0));
+    // A minority of broken cells lifts the mean alone.
+    let mut values = [0.1f32; 100];
+    values[70..].fill(4.0);
+    assert_eq!(
+        sample(&values).map(|cells| cells.lower_quartile),
+        Some(f64::from(0.1f32))
     );
 }
 
@@ -158,12 +194,17 @@ fn detail_change_is_zero_along_the_true_motion_and_known_for_lost_contrast() {
         frame(move |x, y| 128.0 + contrast * (texture(x as f64 - 4.0, y as f64) - 128.0))
     };
     let detail = |frame: &NormalisedFrame| DetailFrame::new(frame, &params.detail);
-    let same = detail_change(&detail(&first), steps, &detail(&moved(1.0)), &params).unwrap();
+    let same = detail_change(&detail(&first), steps, &detail(&moved(1.0)), &params)
+        .unwrap()
+        .mean;
     // Only the borders' reflection differs, within 11 cells of the sides.
     assert!(same < 0.02, "{same}");
     let faded = detail_change(&detail(&first), steps, &detail(&moved(0.5)), &params).unwrap();
+    let (faded, least) = (faded.mean, faded.lower_quartile);
     // D is some 20 levels, so that ln((D/2 + 1)/(D + 1)) is near ln 2.
     assert!((faded - std::f64::consts::LN_2).abs() < 0.08, "{faded}");
+    // The fading is everywhere, so that the quartile sees it too.
+    assert!((least - std::f64::consts::LN_2).abs() < 0.12, "{least}");
     // Displaced by no more than 3 px.
     let slow = evidence(|_, _| [0.7, 0.0]);
     let none = detail_change(&detail(&first), [&slow; 4], &detail(&first), &params);
