@@ -17,9 +17,17 @@ pub(crate) struct Source {
     pub(crate) outcomes: Vec<Outcome>,
 }
 
+/// The seed of a fault in a clip of this name hash.
+pub(crate) fn seed(name_hash: u64, kind: Kind) -> u64 {
+    name_hash.wrapping_add(kind as u64)
+}
+
 /// Measures the clips, each clean and with every fault; the foreign clip is the seventh after it.
 pub(crate) fn measure(paths: &[std::path::PathBuf], kinds: &[Kind]) -> Vec<Source> {
-    let clips: Vec<_> = paths.iter().filter_map(|path| real::load(path)).collect();
+    let (hashes, clips): (Vec<u64>, Vec<_>) = paths
+        .iter()
+        .filter_map(|path| Some((real::name_hash(path), real::load(path)?)))
+        .unzip();
     let numbers: Vec<usize> = (0..clips.len()).collect();
     on_two_threads(&numbers, |&number| {
         let other = &clips[(number + 7) % clips.len()];
@@ -27,7 +35,7 @@ pub(crate) fn measure(paths: &[std::path::PathBuf], kinds: &[Kind]) -> Vec<Sourc
         let outcomes = kinds
             .iter()
             .filter_map(|&kind| {
-                let seed = (number * KINDS.len() + kind as usize) as u64;
+                let seed = seed(hashes[number], kind);
                 let injected = inject(&clips[number], kind, seed, other)?;
                 Some(clean.with(kind, &injected))
             })
