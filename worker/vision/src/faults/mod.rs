@@ -12,6 +12,7 @@
 //! are not found (best known AUROC .62).
 
 mod event;
+mod freeze;
 mod maps;
 mod pair;
 mod params;
