@@ -8,6 +8,7 @@
 //! every injected freeze found. Repeats that come at one regular distance are a property of the file (its
 //! frame rate was converted), not a fault.
 
+use super::FaultParams;
 use super::series::FaultPoint;
 
 /// Equal distances between successive runs that make a cadence: two could be chance.
@@ -16,17 +17,19 @@ const CADENCE_RUNS: usize = 3;
 const CADENCE_SCORE: f64 = 0.5;
 
 /// 1 − d / min(median, before, after) of every pair, with d the largest mean |ΔG| of a run of at least
-/// `pairs` pairs that it belongs to, the run where the score is largest, and not below 0.
+/// `freeze_pairs` pairs that it belongs to, the run where the score is largest, and not below 0.
 /// `grey_changes`: (later frame, mean |ΔG|) of every adjacent pair. Empty when the clip is shorter than
 /// a run or half its pairs do not change at all (then nothing was moving).
-pub(super) fn scores(grey_changes: &[(usize, f64)], pairs: usize) -> Vec<FaultPoint> {
+pub(super) fn scores(grey_changes: &[(usize, f64)], params: &FaultParams) -> Vec<FaultPoint> {
     let changes: Vec<f64> = grey_changes.iter().map(|&(_, change)| change).collect();
     let median = crate::signals::median(&mut changes.clone());
-    let Some(median) = median.filter(|&median| median > 0.0 && changes.len() >= pairs) else {
+    let Some(median) =
+        median.filter(|&median| median > 0.0 && changes.len() >= params.freeze_pairs)
+    else {
         return Vec::new();
     };
-    let mut scores = bounded_runs(&changes, median, pairs);
-    if is_cadence(&scores) {
+    let mut scores = runs(&changes, median, params);
+    if params.freeze_needs_motion_around && is_cadence(&scores) {
         scores.fill(0.0);
     }
     let frames = grey_changes.iter().zip(scores);
@@ -38,23 +41,30 @@ pub(super) fn scores(grey_changes: &[(usize, f64)], pairs: usize) -> Vec<FaultPo
     frames.map(point).collect()
 }
 
-fn bounded_runs(changes: &[f64], median: f64, pairs: usize) -> Vec<f64> {
+fn runs(changes: &[f64], median: f64, params: &FaultParams) -> Vec<f64> {
+    let neighbour = |pair: Option<usize>| {
+        if params.freeze_needs_motion_around {
+            pair.and_then(|pair| changes.get(pair)).map_or(0.0, |&c| c)
+        } else {
+            f64::INFINITY
+        }
+    };
     let mut scores = vec![0.0f64; changes.len()];
-    for first in 1..changes.len() {
-        let reference = median.min(changes[first - 1]);
+    for first in 0..changes.len() {
+        let before = median.min(neighbour(first.checked_sub(1)));
         let mut change = 0.0f64;
-        for last in first..changes.len() - 1 {
+        for last in first..changes.len() {
             change = change.max(changes[last]);
-            let reference = reference.min(changes[last + 1]);
-            if last + 1 - first >= pairs && change < reference {
+            if change >= before {
+                // Nor can a longer run from here be below it.
+                break;
+            }
+            let reference = before.min(neighbour(Some(last + 1)));
+            if last + 1 - first >= params.freeze_pairs && change < reference {
                 let score = 1.0 - change / reference;
                 for of_pair in &mut scores[first..=last] {
                     *of_pair = of_pair.max(score);
                 }
-            }
-            // A longer run holds this pair too, and nothing is below it.
-            if change >= median.min(changes[first - 1]) {
-                break;
             }
         }
     }
@@ -78,7 +88,10 @@ mod tests {
 
     fn of(changes: &[f64]) -> Vec<f64> {
         let numbered: Vec<(usize, f64)> = changes.iter().copied().enumerate().collect();
-        scores(&numbered, 2).iter().map(|p| p.score).collect()
+        scores(&numbered, &FaultParams::default())
+            .iter()
+            .map(|p| p.score)
+            .collect()
     }
 
     #[test]
@@ -98,6 +111,26 @@ mod tests {
         assert_eq!(ends, [0.0; 8]);
         // One repeated frame is no run.
         assert_eq!(of(&[1.0, 1.0, 0.0, 1.0, 1.0]), [0.0; 5]);
+    }
+
+    #[test]
+    fn without_the_gate_it_is_the_rule_of_the_evidence() {
+        let changes = [0.0, 0.1, 1.0, 1.0, 0.2, 0.05, 0.1, 0.5, 1.0, 1.0, 0.0];
+        let median = 0.2;
+        let params = FaultParams {
+            freeze_needs_motion_around: false,
+            ..FaultParams::default()
+        };
+        let numbered: Vec<(usize, f64)> = changes.iter().copied().enumerate().collect();
+        for (pair, point) in scores(&numbered, &params).iter().enumerate() {
+            // The quietest pair of pairs that holds this one.
+            let with = |other: usize| f64::max(changes[pair], changes[other]);
+            let before = pair.checked_sub(1).map_or(f64::INFINITY, with);
+            let after = (pair + 1 < changes.len()).then(|| with(pair + 1));
+            let least = before.min(after.unwrap_or(f64::INFINITY));
+            let expected = (1.0 - least / median).max(0.0);
+            assert!((point.score - expected).abs() < 1e-12, "{pair}: {point:?}");
+        }
     }
 
     #[test]

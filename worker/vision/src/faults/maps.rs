@@ -24,6 +24,15 @@ pub(super) fn bad_frame(adjacent: [&Plane; 4], skip: [&Plane; 2]) -> Plane {
 }
 
 /// xr: q_r(a→b) · q_r(b→a).
+///
+/// `evidence.md` has an AUROC of .96 and a hit of .87 on clips of two sources. On the 14 of our first
+/// half in which something can jump this gives .82 and .57, and the prototype's own code on the same
+/// frames .83 and .50 (DIS fast; .80 to .84 and .50 to .64 with the other presets; frames squashed to a
+/// square .78 to .82), so neither the flow nor the aspect ratio is the reason. The clips are: scores of
+/// still and of lively sources differ tenfold, and of the five of the evidence's sources all score above
+/// every clean one of theirs. Nor is the hit what it seems: the injection cuts the arm out anew on every
+/// frame, so four of the six missed worst frames are later jumps of its own making. Spikes in time, peaks
+/// in space and the ratio to the clip's median reach .88 and .64 at most.
 pub(super) fn jump(forward: &Evidence, backward: &Evidence) -> Plane {
     let ahead = forward.appearance_change_map();
     let back = backward.appearance_change_map();

@@ -44,6 +44,9 @@ pub struct FaultParams {
     pub quiet_scale: f32,
     /// Successive pairs that must stand still for a freeze.
     pub freeze_pairs: usize,
+    /// Whether a freeze must begin and end abruptly and not recur at one regular distance; without it,
+    /// the rule of the evidence.
+    pub freeze_needs_motion_around: bool,
 }
 
 impl Default for FaultParams {
@@ -62,6 +65,7 @@ impl Default for FaultParams {
             quiet_radius_cells: 4,
             quiet_scale: 0.5,
             freeze_pairs: 2,
+            freeze_needs_motion_around: true,
         }
     }
 }

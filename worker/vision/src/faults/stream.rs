@@ -114,7 +114,7 @@ impl FaultStream {
             }
         }
         self.series.points[FaultKind::Freeze as usize] =
-            freeze::scores(&self.grey_changes, self.params.freeze_pairs);
+            freeze::scores(&self.grey_changes, &self.params);
         self.series
     }
 
