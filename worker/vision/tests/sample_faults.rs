@@ -5,7 +5,11 @@
 //! frames. What is not found: morphs; flicker at a threshold that keeps clean clips clean (its peak is
 //! in the right place, but moving arms score as high); what is compared in place, under a moving camera.
 
-#![expect(clippy::unwrap_used, reason = "what cannot be rendered fails the test")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "what cannot be rendered or found fails the test"
+)]
 
 mod support;
 
