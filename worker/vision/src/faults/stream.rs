@@ -6,6 +6,7 @@
 
 use std::collections::VecDeque;
 
+use super::freeze;
 use super::maps::{self, TRANSITION_FRAMES};
 use super::params::{PERSISTENCE_PAIRS, WINDOW_FRAMES};
 use super::peak::{central_mean, peak};
@@ -122,7 +123,7 @@ impl FaultStream {
             }
         }
         self.series.points[FaultKind::Freeze as usize] =
-            freeze(&self.grey_changes, self.params.freeze_pairs);
+            freeze::scores(&self.grey_changes, &self.params);
         self.series
     }
 
@@ -254,35 +255,4 @@ impl FaultStream {
             grey,
         });
     }
-}
-
-/// 1 − d / median d of every pair, with d the pair's mean |ΔG| raised to the largest among the
-/// quietest run of `pairs` that it belongs to, and the score not below 0. Empty when the clip is
-/// shorter than a run or half its pairs do not change at all (then nothing was moving).
-fn freeze(grey_changes: &[(usize, f64)], pairs: usize) -> Vec<FaultPoint> {
-    let runs = (grey_changes.len() + 1).saturating_sub(pairs);
-    let mut sorted: Vec<f64> = grey_changes.iter().map(|&(_, change)| change).collect();
-    let Some(median) = crate::signals::median(&mut sorted).filter(|&median| median > 0.0) else {
-        return Vec::new();
-    };
-    let largest_of_run: Vec<f64> = (0..runs)
-        .map(|start| {
-            grey_changes[start..start + pairs]
-                .iter()
-                .fold(0.0, |most: f64, &(_, change)| most.max(change))
-        })
-        .collect();
-    let point = |(pair, &(frame, _)): (usize, &(usize, f64))| {
-        let first = (pair + 1).saturating_sub(pairs);
-        let last = pair.min(runs.checked_sub(1)?);
-        let change = largest_of_run[first..=last]
-            .iter()
-            .fold(f64::INFINITY, |least, &change| least.min(change));
-        Some(FaultPoint {
-            frame,
-            score: (1.0 - change / median).max(0.0),
-            place: None,
-        })
-    };
-    grey_changes.iter().enumerate().filter_map(point).collect()
 }

@@ -280,7 +280,8 @@ fn transition_maps_equal_their_definitions() {
         let spread = spread_before + spread_after;
         step.data[cell] = ((after - before).abs() - spread).max(0.0) as f32;
         let share = (0..4).fold(0.0f64, |most, k| most.max(f64::from(shares[k].data[cell])));
-        let expected = (before - after - spread).max(0.0) * libm::exp(-share / 0.15);
+        let expected =
+            (before - after - spread).max(0.0) * libm::exp(-share / f64::from(params.quiet_scale));
         // f32 differences of values up to 3.2, times at most 1.
         assert!((f64::from(vanish.data[cell]) - expected).abs() < 2e-6);
     }

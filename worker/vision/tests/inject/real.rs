@@ -27,6 +27,33 @@ pub(crate) fn static_clips() -> Option<Vec<PathBuf>> {
     Some(clips)
 }
 
+/// FNV-1a of a clip's file name: which half it belongs to and the seed of its injections, whatever other
+/// clips there are.
+pub(crate) fn name_hash(path: &Path) -> u64 {
+    let name = path.file_name().unwrap().to_string_lossy();
+    name.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
+}
+
+/// The two halves of the clips: everything is chosen and fitted on the first, the table is of the second.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Half {
+    Fit,
+    HeldOut,
+}
+
+impl Half {
+    /// By a bit of the name's hash: the top one, since the low bits of FNV-1a follow the last letters.
+    pub(crate) fn of(path: &Path) -> Self {
+        if name_hash(path) >> 63 == 0 {
+            Self::Fit
+        } else {
+            Self::HeldOut
+        }
+    }
+}
+
 /// The middle [`FRAMES`] frames, [`HEIGHT_PX`] high; `None` of a shorter clip.
 pub(crate) fn load(path: &Path) -> Option<Vec<Rgb8>> {
     let output = Command::new("ffmpeg")
