@@ -5,7 +5,11 @@
 //! one evaluation agrees to some 1e-15 of the largest term. Tolerances are stated where they stand;
 //! an error is absolute below 1 and relative above.
 
-#![expect(clippy::unwrap_used, reason = "what cannot be read fails the test")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "what cannot be read fails the test"
+)]
 
 mod archive;
 
@@ -308,5 +312,98 @@ fn adjustments_step_by_step() {
                 );
             }
         }
+    }
+}
+
+/// Σ w ‖r‖² at `scene`, over the observations where `counts`, by the plain projection; and which
+/// observations lie in front of the camera.
+fn plain_cost(case: &Case, scene: &Scene, counts: Option<&[bool]>) -> (f64, Vec<bool>) {
+    let rule = DepthRule {
+        valid_above: case.options.min_depth,
+        unit_below: case.options.min_depth,
+    };
+    let (mut cost, mut valid) = (0.0, Vec::new());
+    for edge in case.edges() {
+        let relative = scene.poses[edge.target].relative_to(&scene.poses[edge.source]);
+        for cell in 0..CELLS {
+            let at = [(cell % 16) as f64, (cell / 16) as f64];
+            let d = scene.inverse_depths_of(edge.source)[cell];
+            let r = reproject(&scene.camera, &relative, at, d, rule);
+            if counts.is_none_or(|c| c[valid.len()]) {
+                for axis in 0..2 {
+                    let residual = f64::from(edge.at[axis * CELLS + cell]) - r.at[axis];
+                    cost += f64::from(edge.weight[axis * CELLS + cell]) * residual * residual;
+                }
+            }
+            valid.push(r.valid);
+        }
+    }
+    let known = |m: &&f32| **m > 0.0;
+    if case.measured.iter().any(|m| known(&m)) {
+        // The prior's weight is given against weights scaled by 0.001.
+        for (m, d) in case
+            .measured
+            .iter()
+            .zip(&scene.inverse_depths)
+            .filter(|(m, _)| known(m))
+        {
+            cost += 0.05 / 0.001 * (d - f64::from(*m)).powi(2);
+        }
+    }
+    (cost, valid)
+}
+
+#[test]
+fn the_clean_solver_reaches_a_lower_cost_on_every_scene() {
+    let mut archive = Archive::open("droid_geometry.npz");
+    for parameters in CASES {
+        let (name, _, _, iterations, ..) = parameters;
+        let case = Case::load(&mut archive, parameters);
+        let edges = case.edges();
+        let problem = case.problem(&edges);
+        let run = |options: BundleOptions| {
+            let mut scene = case.scene.clone();
+            let options = BundleOptions {
+                iterations,
+                ..options
+            };
+            let report = adjust(&mut scene, &problem, &options, &mut Workspace::default()).unwrap();
+            (scene, report)
+        };
+        let (reference, _) = run(case.options);
+        // As many steps, the same weights and the same nearest depth; the reference's quirks, its
+        // absolute damping and its eta are off.
+        let clean_problem = Problem {
+            depth_damping: None,
+            ..problem.clone()
+        };
+        let clean_options = BundleOptions {
+            iterations,
+            weight_scale: case.options.weight_scale,
+            min_depth: case.options.min_depth,
+            motion_only: case.options.motion_only,
+            ..BundleOptions::default()
+        };
+        let mut clean = case.scene.clone();
+        let report = adjust(
+            &mut clean,
+            &clean_problem,
+            &clean_options,
+            &mut Workspace::default(),
+        )
+        .unwrap();
+        // One fixed set for both: what lies in front of the camera at the start and at both ends.
+        let sets = [&case.scene, &reference, &clean].map(|scene| plain_cost(&case, scene, None).1);
+        let common: Vec<bool> = (0..sets[0].len())
+            .map(|k| sets.iter().all(|s| s[k]))
+            .collect();
+        let cost = |scene: &Scene| plain_cost(&case, scene, Some(&common)).0;
+        let (start, reference, clean) = (cost(&case.scene), cost(&reference), cost(&clean));
+        let counted = common.iter().filter(|c| **c).count();
+        println!(
+            "{name}: {counted} cells of {}: start {start:.4}, reference {reference:.4}, clean {clean:.4} {report:?}",
+            common.len()
+        );
+        assert!(clean <= reference, "{name}: {clean} > {reference}");
     }
 }

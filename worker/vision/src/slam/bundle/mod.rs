@@ -78,7 +78,8 @@ pub struct Report {
     /// Cost at the start, over the cells valid then.
     pub cost_before: f64,
     /// Cost at the last state where it was evaluated: after the last step if steps are controlled,
-    /// before it otherwise.
+    /// before it otherwise. Each step is judged over the cells valid before it; a cell that comes in
+    /// front of a camera counts from the next step on.
     pub cost_after: f64,
     /// Whether it ended because no step lowered the cost by more than the tolerance.
     pub converged: bool,
