@@ -10,5 +10,9 @@
 pub mod bundle;
 pub mod camera;
 pub mod distance;
+pub mod graph;
+pub mod keyframes;
 mod lanes;
+pub mod operator;
+pub mod reference;
 pub mod se3;
