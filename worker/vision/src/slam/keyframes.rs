@@ -100,7 +100,13 @@ impl Keyframes {
     #[must_use]
     pub fn reprojection(&self, source: usize, target: usize) -> (Vec<f32>, Vec<bool>) {
         let (grid, cells) = (self.scene.grid, self.scene.grid.cells());
-        let relative = self.scene.poses[target].relative_to(&self.scene.poses[source]);
+        // The reference normalises here (lietorch does when it composes), but not in the adjustment:
+        // rounding to f32 leaves the norms off by 1e-7, which near cells magnify.
+        let pose = |slot: usize| {
+            let stored = self.scene.poses[slot];
+            stored.normalised().unwrap_or(stored)
+        };
+        let relative = pose(target).relative_to(&pose(source));
         let rule = DepthRule::WORLDSCORE;
         let (mut at, mut valid) = (vec![0.0; 2 * cells], vec![false; cells]);
         for (cell, &d) in self.scene.inverse_depths_of(source).iter().enumerate() {
