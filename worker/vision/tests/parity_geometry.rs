@@ -5,11 +5,7 @@
 //! one evaluation agrees to some 1e-15 of the largest term. Tolerances are stated where they stand;
 //! an error is absolute below 1 and relative above.
 
-#![expect(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "what cannot be read fails the test"
-)]
+#![expect(clippy::unwrap_used, reason = "what cannot be read fails the test")]
 
 mod archive;
 
