@@ -383,7 +383,7 @@ fn no_graph_makes_a_number_that_is_not_finite() {
                 }
             }
             Err(BundleError::NotPositiveDefinite { .. } | BundleError::Diverged { .. }) => {
-                failed += 1
+                failed += 1;
             }
             Err(other) => panic!("{seed}: {other}"),
         }
