@@ -127,7 +127,9 @@ impl Workspace {
         }
         self.order.clear();
         self.order.extend(0..problem.edges.len());
-        self.order.sort_by_key(|&e| problem.edges[e].source);
+        // Unstable sorts do not allocate; the position makes the order unique.
+        self.order
+            .sort_unstable_by_key(|&e| (problem.edges[e].source, e));
         self.sources.clear();
         for (place, &edge) in self.order.iter().enumerate() {
             let source = problem.edges[edge].source;
