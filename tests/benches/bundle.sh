@@ -28,9 +28,10 @@ result=tests/benches/results/bundle-$(date +%F).md
 {
     echo "# One step of the dense bundle adjustment, ours and a NumPy twin, one thread: $(date +%F)"
     echo
-    echo "- machine: $(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -n 1), $(nproc) cores, $(. /etc/os-release; echo "$PRETTY_NAME"), load $(cut -d' ' -f1 /proc/loadavg)"
+    echo "- machine: $(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -n 1), $(nproc --all) cores, $(. /etc/os-release; echo "$PRETTY_NAME"), load $(cut -d' ' -f1 /proc/loadavg)"
     echo "- commit $(git rev-parse --short HEAD)$(git diff --quiet HEAD -- worker/vision || echo ' with changes'), $(rustc --version), $("$python" "$twin" versions)"
     echo "- command: \`tests/benches/bundle.sh $rounds $repeat\`; $rounds alternating rounds of $repeat steps, medians of medians"
+    echo "- wall times; the machine's load is given above"
     echo "- a step linearises, eliminates the depths, solves the poses, substitutes back; float64 sums. Ours also checks its input, and computes the coupling a second time where the twin keeps it"
     echo "- agreement: relative difference of the pose step's norm"
     echo "- 8 frames have 56 ordered pairs and 30 have 870: larger edge counts do not exist for them"
