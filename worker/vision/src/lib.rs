@@ -9,3 +9,4 @@ pub mod flow;
 pub mod image;
 pub mod scene;
 pub mod signals;
+pub mod slam;
