@@ -7,6 +7,7 @@
 //! 256-px-high picture; scores have no unit, lower is better. Nothing fails: what cannot be scored
 //! goes to review with its reason, and what a reader must know stands in the warnings.
 
+pub mod double;
 pub mod histogram;
 pub mod interval;
 pub mod moments;
@@ -22,6 +23,8 @@ pub mod standardise;
 pub mod sum;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod twin;
 pub mod warnings;
 pub mod weights;
 

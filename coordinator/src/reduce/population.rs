@@ -7,12 +7,13 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroU16;
 
+use super::double::Double;
 use super::histogram::Sorted;
 use super::moments::{Moments, Standard};
 use super::outcome::{Population, Range, SignalStatistics};
 use super::recipe::{BySignal, PAPER, Signal, Yardstick};
 use super::standardise::{RobustStandard, Ruler};
-use super::weights::{entropy_nats, entropy_weights};
+use super::weights::{entropy, entropy_nats, entropy_weights};
 
 /// A population: what is published of it, and what measures its rows.
 #[derive(Debug, Clone)]
@@ -66,12 +67,12 @@ pub(super) fn sorted_values(signal: Signal, rows: &[BySignal<Option<f64>>]) -> S
 /// The entropy that a signal is weighed by; `None` where it says nothing: no values, no spread, or a
 /// range without width (nearly all values equal, under the winsorised range). A constant would have
 /// the smallest entropy and weigh most.
-pub(super) fn weighing_entropy(sorted: &Sorted, bins: NonZeroU16, range: Range) -> Option<f64> {
+pub(super) fn weighing_entropy(sorted: &Sorted, bins: NonZeroU16, range: Range) -> Option<Double> {
     let (min, max) = sorted.range(range)?;
     if min == max {
         return None;
     }
-    entropy_nats(&sorted.histogram(bins, range)?.counts)
+    entropy(&sorted.histogram(bins, range)?.counts)
 }
 
 /// Statistics, ruler, and the entropy to weigh by.
@@ -80,7 +81,7 @@ fn survey_signal(
     rows: &[BySignal<Option<f64>>],
     bins: NonZeroU16,
     range: Range,
-) -> (SignalStatistics, Ruler, Option<f64>) {
+) -> (SignalStatistics, Ruler, Option<Double>) {
     let sorted = sorted_values(signal, rows);
     // `Sorted` holds finite values only, so that no sum refuses one.
     let standard: Option<Standard> = Moments::of(sorted.values())

@@ -6,6 +6,7 @@
 
 use std::num::NonZeroU16;
 
+use super::double::Double;
 use super::histogram::Sorted;
 use super::outcome::{Range, WeightSensitivity};
 use super::population::{sorted_values, weighing_entropy, weights_by_column};
@@ -49,8 +50,8 @@ pub fn sensitivity(
     let values: Vec<BySignal<Option<f64>>> = rows.iter().map(|row| row.values).collect();
     let samples = PAPER.map(|signal| sorted_values(signal, &values));
     let base = yardstick.paper_weights;
-    let weigh = |entropy: &dyn Fn(usize) -> Option<f64>| -> Option<Weights> {
-        let entropies: Vec<Option<f64>> = PAPER
+    let weigh = |entropy: &dyn Fn(usize) -> Option<Double>| -> Option<Weights> {
+        let entropies: Vec<Option<Double>> = PAPER
             .iter()
             .enumerate()
             .map(|(k, &signal)| {
