@@ -100,6 +100,7 @@ fn all_finite(signal: &SignalStatistics) -> bool {
         counts: _,
         entropy_nats,
         degenerate: _,
+        range_overflow: _,
     } = signal;
     [min, max, mean, std, median, mad, entropy_nats]
         .into_iter()

@@ -284,6 +284,7 @@ fn many_rows_make_bounded_row_groups() {
 
 fn corpus() -> CorpusFile {
     let population = Population {
+        too_few: true,
         n: 1,
         signals: BTreeMap::new(),
         weights: BTreeMap::from([("reproj_px".to_owned(), 0.1 + 0.2)]),
@@ -298,6 +299,8 @@ fn corpus() -> CorpusFile {
         },
         conditioning_frames: 1,
         statistics: CorpusStatistics {
+            degenerate: false,
+            uncertain_decisions: None,
             statuses: BTreeMap::from([("scored".to_owned(), 1)]),
             decisions: BTreeMap::from([("keep".to_owned(), 1)]),
             recipe: Recipe::Paper,

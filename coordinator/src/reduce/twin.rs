@@ -26,9 +26,14 @@ use rand_pcg::rand_core::{Rng, SeedableRng};
 
 use super::double::Double;
 use super::outcome::{Range, Recipe};
-use super::population::survey;
+use super::population::{Surveyed, in_memory};
 use super::recipe::{BySignal, PAPER, Signal};
 use super::weights::{entropy, softmax_of_negated};
+
+fn survey(rows: &[BySignal<Option<f64>>], bins: NonZeroU16, range: Range) -> Surveyed {
+    let Ok(found) = super::population::survey(rows.len() as u64, &in_memory(rows), bins, range);
+    found
+}
 
 type Big = FBig<HalfEven, 2>;
 

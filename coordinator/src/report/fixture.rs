@@ -168,6 +168,8 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
         },
         conditioning_frames: 1,
         statistics: CorpusStatistics {
+            degenerate: false,
+            uncertain_decisions: None,
             statuses: BTreeMap::new(),
             decisions: BTreeMap::new(),
             recipe,
@@ -181,6 +183,7 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
                 .map(|(name, rows)| (name.clone(), population(rows)))
                 .collect(),
             sensitivity: (all.len() > 2).then(|| WeightSensitivity {
+                freedman_diaconis_bins: BTreeMap::new(),
                 freedman_diaconis: weights(0.55),
                 winsorised: weights(0.48),
                 leave_one_out_max_change: 0.083,
@@ -202,6 +205,7 @@ fn population(rows: &[&Row]) -> Population {
         }
         let n = values.len() as f64;
         SignalStatistics {
+            range_overflow: false,
             n: values.len() as u64,
             min: Some(lo),
             max: Some(hi),
@@ -224,6 +228,7 @@ fn population(rows: &[&Row]) -> Population {
     };
     if rows.is_empty() {
         return Population {
+            too_few: true,
             n: 0,
             signals: BTreeMap::new(),
             weights: BTreeMap::new(),
@@ -240,6 +245,7 @@ fn population(rows: &[&Row]) -> Population {
         ),
     ]);
     Population {
+        too_few: false,
         n: rows.len() as u64,
         signals,
         weights: BTreeMap::from([
