@@ -7,6 +7,7 @@ pub mod fanout;
 pub mod progress;
 pub mod publish;
 pub mod reduce;
+pub mod reduce_files;
 pub mod report;
 pub mod run;
 pub mod sample;

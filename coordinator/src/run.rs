@@ -24,10 +24,10 @@ use crate::publish::{
 };
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
-use lease::Lease;
+pub(crate) use lease::Lease;
 
 /// Where a run keeps what it needs to resume, below OUT.
-const STATE_DIRECTORY: &str = ".plumbline";
+pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 
 /// Who measured, in `costs.*`, when no fleet is involved.
 const EMBEDDED_WORKER: &str = "embedded";
@@ -332,12 +332,12 @@ fn publish_run(
     let corpus = CorpusFile {
         plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
         source: options.sources.clone(),
-        profile: ProfileRecord {
-            name: options.profile.rung.as_str().to_owned(),
+        profile: Some(ProfileRecord {
+            name: Some(options.profile.rung.as_str().to_owned()),
             digest: options.reduce.profile_digest.clone(),
             parameters,
-        },
-        conditioning_frames: options.profile.conditioning_frames,
+        }),
+        conditioning_frames: Some(options.profile.conditioning_frames),
         statistics: reduced.statistics.clone(),
     };
     let locations: Vec<String> = entries

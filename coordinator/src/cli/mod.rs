@@ -1,5 +1,6 @@
 //! The command line: what was typed, made usable, handed to the library; results to exit codes.
 
+mod reduce;
 mod sample;
 mod score;
 mod summary;
@@ -36,6 +37,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Score(Box<score::ScoreArgs>),
+    Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
@@ -52,6 +54,7 @@ pub fn main() -> ExitCode {
     plumbline_common::telemetry::init(&cli.log);
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
+        Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)

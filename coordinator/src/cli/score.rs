@@ -95,7 +95,7 @@ enum RungArg {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum FormatArg {
+pub(super) enum FormatArg {
     Jsonl,
     Parquet,
     Csv,

@@ -10,8 +10,8 @@ use crate::reduce::outcome::{CorpusStatistics, Population, SignalStatistics};
 /// The profile that measured the corpus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProfileRecord {
-    /// Its name.
-    pub name: String,
+    /// Its name; `None` where only the digest is known.
+    pub name: Option<String>,
     /// BLAKE3 of its canonical form, hex.
     pub digest: String,
     /// Every parameter.
@@ -25,10 +25,10 @@ pub struct CorpusFile {
     pub plumbline_version: String,
     /// The sources as given.
     pub source: Vec<String>,
-    /// What measured it.
-    pub profile: ProfileRecord,
-    /// Leading frames left out of every statistic.
-    pub conditioning_frames: u32,
+    /// What measured it; `None` where the rows do not say.
+    pub profile: Option<ProfileRecord>,
+    /// Leading frames left out of every statistic; `None` where that is not known.
+    pub conditioning_frames: Option<u32>,
     /// What the reduce says.
     #[serde(flatten)]
     pub statistics: CorpusStatistics,

@@ -292,12 +292,12 @@ fn corpus() -> CorpusFile {
     CorpusFile {
         plumbline_version: "0.1.0".to_owned(),
         source: vec!["rollouts/".to_owned()],
-        profile: ProfileRecord {
-            name: "standard".to_owned(),
+        profile: Some(ProfileRecord {
+            name: Some("standard".to_owned()),
             digest: "d1ge57".to_owned(),
             parameters: json!({"working_height_px": 256}),
-        },
-        conditioning_frames: 1,
+        }),
+        conditioning_frames: Some(1),
         statistics: CorpusStatistics {
             degenerate: false,
             uncertain_decisions: None,

@@ -124,6 +124,25 @@ impl<T> BySignal<T> {
     }
 }
 
+impl<T> BySignal<T> {
+    /// The same where making may fail.
+    ///
+    /// # Errors
+    /// The first failure.
+    pub fn try_from_fn<E>(mut make: impl FnMut(Signal) -> Result<T, E>) -> Result<Self, E> {
+        let [a, b, c, d, e, f, g] = Signal::ALL;
+        Ok(Self([
+            make(a)?,
+            make(b)?,
+            make(c)?,
+            make(d)?,
+            make(e)?,
+            make(f)?,
+            make(g)?,
+        ]))
+    }
+}
+
 impl BySignal<Option<f64>> {
     /// The values of a measurement.
     #[must_use]

@@ -161,12 +161,12 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
     CorpusFile {
         plumbline_version: "0.1.0".to_owned(),
         source: vec!["rollouts/2026-05".to_owned()],
-        profile: ProfileRecord {
-            name: "standard".to_owned(),
+        profile: Some(ProfileRecord {
+            name: Some("standard".to_owned()),
             digest: "5f3a9c1e7b".repeat(6),
             parameters: json!({"working_height_px": 256, "flow": {"finest_scale": 1}}),
-        },
-        conditioning_frames: 1,
+        }),
+        conditioning_frames: Some(1),
         statistics: CorpusStatistics {
             degenerate: false,
             uncertain_decisions: None,

@@ -8,7 +8,7 @@ const FILE: &str = "lock";
 
 /// Held while a run writes; released when dropped or killed.
 #[derive(Debug)]
-pub(super) struct Lease {
+pub(crate) struct Lease {
     _file: File,
 }
 
@@ -17,7 +17,7 @@ impl Lease {
     ///
     /// # Errors
     /// [`PublishError`] when the lock file cannot be used.
-    pub(super) fn take(state: &OutDir) -> Result<Option<Self>, PublishError> {
+    pub(crate) fn take(state: &OutDir) -> Result<Option<Self>, PublishError> {
         let io_error = |source| PublishError::from_io(FILE, source);
         let file = OpenOptions::new()
             .write(true)
