@@ -29,6 +29,9 @@ pub(crate) use lease::Lease;
 /// Where a run keeps what it needs to resume, below OUT.
 pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 
+/// The frozen list of videos, below [`STATE_DIRECTORY`].
+pub(crate) const FROZEN_FILE: &str = "corpus.jsonl";
+
 /// Who measured, in `costs.*`, when no fleet is involved.
 const EMBEDDED_WORKER: &str = "embedded";
 
@@ -367,7 +370,7 @@ fn publish_run(
 
 /// The frozen list beside the journal, for a person who asks what a run was about.
 fn write_frozen(state: &OutDir, entries: &[Entry]) -> Result<(), RunError> {
-    state.put_atomic_with("corpus.jsonl", |writer| {
+    state.put_atomic_with(FROZEN_FILE, |writer| {
         for entry in entries {
             serde_json::to_writer(&mut *writer, entry)?;
             writer.write_all(b"\n")?;

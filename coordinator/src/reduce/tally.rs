@@ -36,10 +36,14 @@ pub struct Facts<'a> {
 }
 
 /// Counts over rows; the same in any order.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Tally {
-    statuses: BTreeMap<String, u64>,
-    decisions: BTreeMap<String, u64>,
+    /// In the order of `Status`.
+    statuses: [u64; Status::ALL.len()],
+    /// In the order of `Decision`.
+    decisions: [u64; 3],
+    /// The group and shape noted last: most rows are like the one before.
+    last_shape: Option<(String, Shape)>,
     shapes: BTreeMap<String, BTreeSet<Shape>>,
     intervals: u64,
     uncertain: u64,
@@ -51,33 +55,11 @@ pub struct Tally {
     pub(super) partial: u64,
 }
 
-impl Default for Tally {
-    fn default() -> Self {
-        let decisions = [Decision::Keep, Decision::Drop, Decision::Review].map(decision_name);
-        Self {
-            statuses: Status::ALL
-                .map(|status| (status.as_str().to_owned(), 0))
-                .into(),
-            decisions: decisions.map(|name| (name.to_owned(), 0)).into(),
-            shapes: BTreeMap::new(),
-            intervals: 0,
-            uncertain: 0,
-            rejected: 0,
-            without_score: 0,
-            partial: 0,
-        }
-    }
-}
-
 impl Tally {
     /// Counts one row.
     pub fn note(&mut self, row: &Facts<'_>) {
-        if let Some(count) = self.statuses.get_mut(row.status.as_str()) {
-            *count += 1;
-        }
-        if let Some(count) = self.decisions.get_mut(decision_name(row.decision)) {
-            *count += 1;
-        }
+        self.statuses[row.status as usize] += 1;
+        self.decisions[row.decision as usize] += 1;
         self.rejected += u64::from(row.rejected);
         if let Some((lo, hi)) = row.interval {
             self.intervals += 1;
@@ -94,6 +76,14 @@ impl Tally {
         self.partial += u64::from(row.anomaly.is_some() && row.lacks_signal);
         if let (Some(group), Some((width, height, fps))) = (row.group, row.shape) {
             let shape = (width, height, (fps * 100.0).round() as i64);
+            if self
+                .last_shape
+                .as_ref()
+                .is_some_and(|(g, s)| g == group && *s == shape)
+            {
+                return;
+            }
+            self.last_shape = Some((group.to_owned(), shape));
             match self.shapes.get_mut(group) {
                 Some(shapes) => {
                     shapes.insert(shape);
@@ -133,8 +123,11 @@ impl Tally {
             options,
         );
         CorpusStatistics {
-            statuses: self.statuses,
-            decisions: self.decisions,
+            statuses: by_name(Status::ALL.map(|s| (s.as_str(), self.statuses[s as usize]))),
+            decisions: by_name(
+                [Decision::Keep, Decision::Drop, Decision::Review]
+                    .map(|d| (decision_name(d), self.decisions[d as usize])),
+            ),
             recipe: options.recipe,
             bins: options.bins.get().into(),
             range: options.range,
@@ -148,6 +141,10 @@ impl Tally {
             warnings,
         }
     }
+}
+
+fn by_name<const N: usize>(counts: [(&str, u64); N]) -> BTreeMap<String, u64> {
+    counts.map(|(name, count)| (name.to_owned(), count)).into()
 }
 
 /// True where a population has rows, and no signal of the recipe tells them apart.

@@ -53,10 +53,10 @@ impl FloatFile {
 
     /// Writes values from a row on.
     pub(super) fn write(&self, row: u64, values: &[f64]) -> io::Result<()> {
-        let bytes: Vec<u8> = values
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect();
+        let mut bytes = vec![0; values.len() * 8];
+        for (bytes, value) in bytes.as_chunks_mut::<8>().0.iter_mut().zip(values) {
+            *bytes = value.to_le_bytes();
+        }
         self.file.write_all_at(&bytes, (self.start + row) * 8)
     }
 

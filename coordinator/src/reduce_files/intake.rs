@@ -14,7 +14,7 @@ use plumbline_common::row::Status;
 use super::columns::Columns;
 use super::error::{ReduceFilesError, joined};
 use super::float_file::FloatFile;
-use super::rows::{check, float_at, floats, groups, texts};
+use super::rows::{check, floats, groups, texts};
 use super::sort::videos;
 use super::table_file::{BATCH_ROWS, TableFile};
 use crate::corpus::GroupBy;
@@ -272,14 +272,22 @@ impl Taking<'_> {
             }
             span.last = last.to_owned();
             let mut values = vec![f64::NAN; batch.num_rows()];
+            let scored: Vec<bool> = checked
+                .statuses
+                .iter()
+                .map(|&status| status == Status::Scored)
+                .collect();
             for signal in Signal::ALL {
-                let column = floats(batch, signal.column());
-                for (k, value) in values.iter_mut().enumerate() {
-                    let scored = checked.statuses[k] == Status::Scored;
-                    // + 0 turns −0 into 0.
-                    *value = float_at(column, k)
-                        .filter(|_| scored)
-                        .map_or(f64::NAN, |v| v + 0.0);
+                match floats(batch, signal.column()) {
+                    None => values.fill(f64::NAN),
+                    Some(column) => {
+                        let found = column.values().iter().zip(&scored).enumerate();
+                        for ((k, (&value, &scored)), out) in found.zip(&mut values) {
+                            let there = scored && column.is_valid(k);
+                            // + 0 turns −0 into 0.
+                            *out = if there { value + 0.0 } else { f64::NAN };
+                        }
+                    }
                 }
                 self.signals[signal].write(row, &values)?;
             }
@@ -351,10 +359,10 @@ impl Taking<'_> {
             }
         }
         drop(guard);
-        let bytes: Vec<u8> = numbers
-            .iter()
-            .flat_map(|number| number.to_le_bytes())
-            .collect();
+        let mut bytes = vec![0; numbers.len() * 4];
+        for (bytes, number) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(&numbers) {
+            *bytes = number.to_le_bytes();
+        }
         Ok(self.group_file.write_all_at(&bytes, row * 4)?)
     }
 }

@@ -13,6 +13,7 @@ mod float_file;
 mod intake;
 mod output;
 mod parts;
+mod paths;
 mod places;
 mod rows;
 mod scoring;
@@ -38,6 +39,7 @@ use crate::run::{Lease, STATE_DIRECTORY};
 pub use error::ReduceFilesError;
 use intake::{Intake, Taken, take_in};
 use output::Completion;
+use paths::Paths;
 use places::Places;
 use scoring::Yardsticks;
 
@@ -170,7 +172,8 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
         places: &places,
         options: reduced,
     };
-    let (mut files_written, tally) = output::write(&out, &completion, &options.formats)?;
+    let (mut files_written, tally) =
+        output::write(&out, &completion, Paths::beside(&files), &options.formats)?;
     out.remove(REPORT_FILE)?;
     for format in Format::ALL {
         out.remove(&format!("costs.{}", format.extension()))?;

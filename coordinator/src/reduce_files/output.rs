@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use arrow_array::{
-    Array, ArrayRef, BooleanArray, Float64Array, RecordBatch, RecordBatchOptions, StringArray,
+    ArrayRef, BooleanArray, Float64Array, RecordBatch, RecordBatchOptions, StringArray,
     UInt64Array, new_null_array,
 };
 use arrow_schema::{DataType, Field, Schema, SchemaRef};
@@ -20,6 +20,7 @@ use super::columns::Columns;
 use super::error::{ReduceFilesError, joined};
 use super::float_file::FloatFile;
 use super::intake::{Intake, NO_GROUP};
+use super::paths::Paths;
 use super::places::{Places, decision};
 use super::rows::{Checked, check, float_at, floats, shape_at};
 use super::scoring::{Signals, Yardsticks};
@@ -73,6 +74,7 @@ struct Sink {
 pub(super) fn write(
     out: &OutDir,
     completion: &Completion<'_>,
+    paths: Paths,
     formats: &BTreeSet<Format>,
 ) -> Result<(Vec<String>, Tally), ReduceFilesError> {
     let tables = Tables::of(completion.columns);
@@ -89,7 +91,7 @@ pub(super) fn write(
                 (sender, scope.spawn(move || drain(out, &sink, &receiver)))
             })
             .unzip();
-        let completed = completion.complete_all(&tables, &senders);
+        let completed = completion.complete_all(&tables, paths, &senders);
         // The writers end when nobody sends any more.
         drop(senders);
         for writer in writers {
@@ -215,6 +217,7 @@ impl Completion<'_> {
     fn complete_all(
         &self,
         tables: &Tables,
+        mut paths: Paths,
         writers: &[SyncSender<Arc<Piece>>],
     ) -> Result<Tally, ReduceFilesError> {
         let names = self.columns.read();
@@ -222,7 +225,8 @@ impl Completion<'_> {
         let mut row = 0;
         let mut send = |batch: RecordBatch, file: &str| -> Result<bool, ReduceFilesError> {
             let rows = batch.num_rows() as u64;
-            let piece = self.complete(tables, check(batch, file)?, row, &mut tally)?;
+            let paths = paths.of(&batch);
+            let piece = self.complete(tables, check(batch, file)?, row, paths, &mut tally)?;
             row += rows;
             let piece = Arc::new(piece);
             // A writer that is gone has failed, and says so itself.
@@ -263,6 +267,7 @@ impl Completion<'_> {
         tables: &Tables,
         checked: Checked,
         first_row: u64,
+        paths: Option<StringArray>,
         tally: &mut Tally,
     ) -> Result<Piece, ReduceFilesError> {
         let Checked {
@@ -289,6 +294,7 @@ impl Completion<'_> {
         let mut intervals = Vec::with_capacity(rows);
         let mut decisions = Vec::with_capacity(rows);
         let mut rejected = rejected.into_iter().peekable();
+        let mut last_cut = None;
         for row in 0..rows {
             let group = signals.groups[row];
             let values = signals.of(row);
@@ -305,6 +311,11 @@ impl Completion<'_> {
                 .zip(float_at(old[2], row))
                 .filter(|_| same);
             let decision = decision(places[row].as_ref(), anomalies[row], &self.options.keep);
+            let cut = match last_cut {
+                Some((of, cut)) if of == group => cut,
+                _ => self.places.cuts.cut(&group, &self.options.keep),
+            };
+            last_cut = Some((group, cut));
             tally.note(&Facts {
                 status: statuses[row],
                 group: group_names.get(group as usize).map(String::as_str),
@@ -318,14 +329,14 @@ impl Completion<'_> {
                 },
                 decision,
                 rejected: rejected.next_if_eq(&row).is_some(),
-                cut: self.places.cuts.cut(&group, &self.options.keep),
+                cut,
             });
             intervals.push(interval);
             decisions.push(decision);
         }
 
         let made = Made {
-            z,
+            z: BySignal(z.0.map(|z| Arc::new(Float64Array::from(z)) as ArrayRef)),
             anomalies: anomalies
                 .iter()
                 .map(|&a| Some(a).filter(|a| !a.is_nan()))
@@ -333,6 +344,7 @@ impl Completion<'_> {
             intervals,
             places: &places,
             decisions: &decisions,
+            paths: paths.map(|paths| Arc::new(paths) as ArrayRef),
             groups: signals
                 .groups
                 .iter()
@@ -362,7 +374,9 @@ impl Completion<'_> {
 
 /// What the reduce adds to a piece of rows.
 struct Made<'a> {
-    z: BySignal<Vec<Option<f64>>>,
+    z: BySignal<ArrayRef>,
+    /// Where the videos lie, as far as anything says so.
+    paths: Option<ArrayRef>,
     anomalies: Vec<Option<f64>>,
     intervals: Vec<Option<(f64, f64)>>,
     places: &'a [Option<Place>],
@@ -371,7 +385,7 @@ struct Made<'a> {
     recipe: &'a str,
 }
 
-type Made1 = Result<RecordBatch, arrow_schema::ArrowError>;
+type Batch = Result<RecordBatch, arrow_schema::ArrowError>;
 
 impl Made<'_> {
     fn column(&self, name: &str) -> Option<ArrayRef> {
@@ -380,7 +394,7 @@ impl Made<'_> {
         if let Some(signal) = name.strip_prefix("z_")
             && let Some(signal) = Signal::ALL.into_iter().find(|s| s.column() == signal)
         {
-            return Some(floats(self.z[signal].clone()));
+            return Some(Arc::clone(&self.z[signal]));
         }
         let ranked = || self.places.iter();
         Some(match name {
@@ -407,7 +421,7 @@ impl Made<'_> {
         })
     }
 
-    fn scores(&self, tables: &Tables, read: &RecordBatch) -> Made1 {
+    fn scores(&self, tables: &Tables, read: &RecordBatch) -> Batch {
         let rows = read.num_rows();
         let arrays = tables.scores.fields().iter().map(|field| {
             self.column(field.name())
@@ -417,14 +431,14 @@ impl Made<'_> {
         batch(&tables.scores, arrays.collect(), rows)
     }
 
-    fn manifest(&self, tables: &Tables, scores: &RecordBatch) -> Made1 {
+    fn manifest(&self, tables: &Tables, scores: &RecordBatch) -> Batch {
         let rows = scores.num_rows();
         let own = MANIFEST.iter().map(|(name, data_type)| {
-            scores
-                .column_by_name(name)
-                .filter(|array| array.data_type() == data_type)
-                .cloned()
-                .unwrap_or_else(|| new_null_array(data_type, rows))
+            let array = match *name {
+                "path" => self.paths.clone(),
+                name => scores.column_by_name(name).cloned(),
+            };
+            array.unwrap_or_else(|| new_null_array(data_type, rows))
         });
         let carried = tables
             .carried
@@ -433,7 +447,7 @@ impl Made<'_> {
         batch(&tables.manifest, own.chain(carried).collect(), rows)
     }
 
-    fn rewards(&self, tables: &Tables, scores: &RecordBatch, corpus: Option<&Standard>) -> Made1 {
+    fn rewards(&self, tables: &Tables, scores: &RecordBatch, corpus: Option<&Standard>) -> Batch {
         let rows = scores.num_rows();
         let raw = || self.anomalies.iter().map(|a| a.map(reward));
         let places = || self.places.iter();
@@ -476,7 +490,7 @@ impl Made<'_> {
     }
 }
 
-fn batch(schema: &SchemaRef, arrays: Vec<ArrayRef>, rows: usize) -> Made1 {
+fn batch(schema: &SchemaRef, arrays: Vec<ArrayRef>, rows: usize) -> Batch {
     let options = RecordBatchOptions::new().with_row_count(Some(rows));
     RecordBatch::try_new_with_options(SchemaRef::clone(schema), arrays, &options)
 }

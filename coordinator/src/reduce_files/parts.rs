@@ -67,42 +67,33 @@ fn format_of(path: &Path) -> Option<Format> {
     }
 }
 
-enum Opened {
-    Parquet(TableFile),
-    Jsonl { path: PathBuf, name: String },
-}
-
 /// Opens every file; tables without rows are left out.
 pub(super) fn open(
     files: &[PathBuf],
     scratch: &Path,
 ) -> Result<(Vec<TableFile>, Columns), ReduceFilesError> {
     let own = own_columns();
-    let mut opened = Vec::new();
+    let mut tables = Vec::new();
+    let mut texts = Vec::new();
     let mut carried: Vec<CarriedSeen> = Vec::new();
     for path in files {
         let name = path.display().to_string();
         match format_of(path) {
             Some(Format::Parquet) => {
-                let file =
-                    File::open(path).map_err(|error| ReduceFilesError::source(&name, error))?;
-                let table = TableFile::open(&name, file)?;
+                let table = TableFile::named(path)?;
                 if table.schema().column_with_name("video").is_none() {
                     return Err(no_video(&name));
                 }
                 if table.rows() > 0 {
                     carried.push(carried_of(table.schema(), &own));
-                    opened.push(Opened::Parquet(table));
+                    tables.push(table);
                 }
             }
             Some(Format::Jsonl) => {
                 let (rows, seen) = look_through(path, &name, &own)?;
                 if rows > 0 {
                     carried.push(seen);
-                    opened.push(Opened::Jsonl {
-                        path: path.clone(),
-                        name,
-                    });
+                    texts.push((path.clone(), name));
                 }
             }
             _ => {
@@ -114,13 +105,9 @@ pub(super) fn open(
         }
     }
     let columns = Columns::of(&carried);
-    let tables = opened
-        .into_iter()
-        .map(|opened| match opened {
-            Opened::Parquet(table) => Ok(table),
-            Opened::Jsonl { path, name } => to_parquet(&path, &name, &columns, scratch),
-        })
-        .collect::<Result<Vec<_>, _>>()?;
+    if !texts.is_empty() {
+        tables.push(to_parquet(&texts, &columns, scratch)?);
+    }
     Ok((tables, columns))
 }
 
@@ -185,9 +172,9 @@ fn look_through(
     Ok((rows, carried))
 }
 
+/// All JSON Lines in one scratch table, one after the other.
 fn to_parquet(
-    path: &Path,
-    name: &str,
+    texts: &[(PathBuf, String)],
     columns: &Columns,
     scratch: &Path,
 ) -> Result<TableFile, ReduceFilesError> {
@@ -206,14 +193,17 @@ fn to_parquet(
     let mut file = tempfile::tempfile_in(scratch)?;
     let mut writer = BatchWriter::new(Format::Parquet, columns.schema(), &mut file)?;
     let mut records = Vec::with_capacity(BATCH_ROWS);
-    for row in lines(path, name)? {
-        records.push(row?);
-        if records.len() == BATCH_ROWS {
-            writer.write(&to_batch(&table, &records)?)?;
-            records.clear();
+    for (path, name) in texts {
+        for row in lines(path, name)? {
+            records.push(row?);
+            if records.len() == BATCH_ROWS {
+                writer.write(&to_batch(&table, &records)?)?;
+                records.clear();
+            }
         }
     }
     writer.write(&to_batch(&table, &records)?)?;
     writer.finish()?;
-    TableFile::open(name, file)
+    let names: Vec<&str> = texts.iter().map(|(_, name)| name.as_str()).collect();
+    TableFile::scratch(&names.join(", "), file)
 }

@@ -70,8 +70,11 @@ pub(super) fn check(batch: RecordBatch, file: &str) -> Result<Checked, ReduceFil
         batch = RecordBatch::try_new(Arc::clone(&schema), arrays)
             .map_err(|error| ReduceFilesError::source(file, error))?;
     }
+    let stated = texts(&batch, "status").is_some_and(|names| names.null_count() == 0);
     // A row that says nothing of itself is a measured one.
-    if let Some((index, _)) = schema.column_with_name("status") {
+    if let Some((index, _)) = schema.column_with_name("status")
+        && (!stated || !rejected.is_empty())
+    {
         let names: StringArray = statuses
             .iter()
             .map(|status| Some(status.as_str()))
@@ -92,20 +95,27 @@ fn statuses(batch: &RecordBatch, file: &str) -> Result<Vec<Status>, ReduceFilesE
     let Some(names) = texts(batch, "status") else {
         return Ok(vec![Status::Scored; batch.num_rows()]);
     };
+    let mut last = Status::Scored;
     names
         .iter()
-        .map(|name| match name {
-            None => Ok(Status::Scored),
-            Some(name) => Status::ALL
-                .into_iter()
-                .find(|s| s.as_str() == name)
-                .ok_or_else(|| {
+        .map(|name| {
+            // Most rows are like the one before.
+            let Some(name) = name else {
+                return Ok(Status::Scored);
+            };
+            if name != last.as_str() {
+                let found = Status::ALL
+                    .into_iter()
+                    .find(|status| status.as_str() == name);
+                last = found.ok_or_else(|| {
                     let known = Status::ALL.map(Status::as_str).join(", ");
                     ReduceFilesError::source(
                         file,
                         format!("the status '{name}' is none of {known}"),
                     )
-                }),
+                })?;
+            }
+            Ok(last)
         })
         .collect()
 }

@@ -203,6 +203,6 @@ impl ScratchTable {
         self.writer
             .close()
             .map_err(|error| ReduceFilesError::Encode(error.into()))?;
-        TableFile::open("the sorted rows", self.file)
+        TableFile::scratch("the sorted rows", self.file)
     }
 }

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::RecordBatch;
@@ -29,27 +30,52 @@ const READ_AHEAD_BYTES: usize = 1 << 16;
 pub(super) struct TableFile {
     /// The name in messages.
     pub(super) name: String,
-    bytes: Positioned,
+    place: Place,
     metadata: ArrowReaderMetadata,
 }
 
+/// Where a table lies. A file with a name is open only while it is read: there may be more parts than
+/// a process may have open files.
+#[derive(Debug, Clone)]
+enum Place {
+    Named(PathBuf),
+    Scratch(Arc<File>),
+}
+
+impl Place {
+    fn open(&self) -> io::Result<Positioned> {
+        let file = match self {
+            Self::Named(path) => Arc::new(File::open(path)?),
+            Self::Scratch(file) => Arc::clone(file),
+        };
+        let len = file.metadata()?.len();
+        Ok(Positioned { file, len })
+    }
+}
+
 impl TableFile {
-    pub(super) fn open(name: &str, file: File) -> Result<Self, ReduceFilesError> {
+    /// A file of the user's.
+    pub(super) fn named(path: &Path) -> Result<Self, ReduceFilesError> {
+        Self::open(&path.display().to_string(), Place::Named(path.to_owned()))
+    }
+
+    /// A file of our own.
+    pub(super) fn scratch(name: &str, file: File) -> Result<Self, ReduceFilesError> {
+        Self::open(name, Place::Scratch(Arc::new(file)))
+    }
+
+    fn open(name: &str, place: Place) -> Result<Self, ReduceFilesError> {
         let failed = |error: &dyn std::fmt::Display| {
             ReduceFilesError::source(name, format!("is no readable Parquet file ({error})"))
         };
-        let len = file.metadata().map_err(|error| failed(&error))?.len();
-        let bytes = Positioned {
-            file: Arc::new(file),
-            len,
-        };
+        let bytes = place.open().map_err(|error| failed(&error))?;
         // Types come from Parquet itself: what a writer calls large or viewed text is text.
         let options = ArrowReaderOptions::new().with_skip_arrow_metadata(true);
         let metadata =
             ArrowReaderMetadata::load(&bytes, options).map_err(|error| failed(&error))?;
         Ok(Self {
             name: name.to_owned(),
-            bytes,
+            place,
             metadata,
         })
     }
@@ -84,7 +110,9 @@ impl TableFile {
             .filter(|(_, field)| columns.contains(&field.name().as_str()))
             .map(|(index, _)| index);
         let mut builder = ParquetRecordBatchReaderBuilder::new_with_metadata(
-            self.bytes.clone(),
+            self.place
+                .open()
+                .map_err(|error| ReduceFilesError::source(&self.name, error))?,
             self.metadata.clone(),
         )
         .with_projection(ProjectionMask::roots(schema, wanted))
