@@ -16,6 +16,7 @@ mod faults;
 mod hostile;
 mod main_path;
 mod paper;
+mod reduce;
 mod resume;
 mod sources;
 mod system;
