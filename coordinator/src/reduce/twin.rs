@@ -502,7 +502,7 @@ fn hand_made_extremes() {
 #[test]
 fn random_corpora() {
     let mut rng = Pcg64::from_seed([11; 32]);
-    let mut below = |n: u64| (u128::from(rng.next_u64()) * u128::from(n) >> 64) as u64;
+    let mut below = |n: u64| ((u128::from(rng.next_u64()) * u128::from(n)) >> 64) as u64;
     for k in 0..RANDOM_CORPORA {
         let n = 1 + below(9) as usize;
         let mut signal = || {

@@ -62,12 +62,15 @@ struct Piece {
     rewards: RecordBatch,
 }
 
+/// What of a piece goes into a file.
+type Part = fn(&Piece) -> RecordBatch;
+
 /// One file and what of a piece goes into it.
 struct Sink {
     name: String,
     format: Format,
     schema: SchemaRef,
-    of: Box<dyn Fn(&Piece) -> RecordBatch + Send>,
+    of: Part,
 }
 
 /// Writes scores, manifests and rewards; says which files and counts the rows.
@@ -162,12 +165,7 @@ impl Tables {
 
     /// The files to write in these formats, and the names of those that would contradict them.
     fn sinks(&self, formats: &BTreeSet<Format>) -> (Vec<Sink>, Vec<String>) {
-        let mut tables: Vec<(
-            String,
-            &SchemaRef,
-            BTreeSet<Format>,
-            fn(&Piece) -> RecordBatch,
-        )> = Vec::new();
+        let mut tables: Vec<(String, &SchemaRef, BTreeSet<Format>, Part)> = Vec::new();
         let also = |format| {
             let mut set = formats.clone();
             set.remove(&Format::Csv);
@@ -177,7 +175,7 @@ impl Tables {
         tables.push(("scores".to_owned(), &self.scores, formats.clone(), |p| {
             p.scores.clone()
         }));
-        let of: [fn(&Piece) -> RecordBatch; DECISIONS.len()] = [
+        let of: [Part; DECISIONS.len()] = [
             |p| p.manifests[0].clone(),
             |p| p.manifests[1].clone(),
             |p| p.manifests[2].clone(),
@@ -201,7 +199,7 @@ impl Tables {
                         name,
                         format,
                         schema: SchemaRef::clone(schema),
-                        of: Box::new(of),
+                        of,
                     });
                 } else {
                     stale.push(name);

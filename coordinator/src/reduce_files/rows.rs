@@ -52,13 +52,13 @@ pub(super) fn check(batch: RecordBatch, file: &str) -> Result<Checked, ReduceFil
         if let Some((index, _)) = schema.column_with_name("status_reason") {
             let reasons = arrays[index].as_string_opt::<i32>().cloned();
             let mut builder = StringBuilder::new();
-            for row in 0..batch.num_rows() {
+            for (row, &status) in statuses.iter().enumerate() {
                 let old = reasons
                     .as_ref()
                     .filter(|r| r.is_valid(row))
                     .map(|r| r.value(row).to_owned());
                 builder.append_option(match first.get(&row) {
-                    Some(column) => Some(rejection(column, statuses[row], old)),
+                    Some(column) => Some(rejection(column, status, old)),
                     None => old,
                 });
             }

@@ -196,10 +196,11 @@ fn write_json(array: &ArrayRef, row: usize, text: &mut Vec<u8>) -> Result<(), En
             serde_json::to_writer(text, &array.as_boolean().value(row))?;
         }
         _ => {
-            let items = match array.as_list_opt::<i32>() {
-                Some(list) => list.value(row),
-                None => return Ok(text.extend_from_slice(b"null")),
+            let Some(list) = array.as_list_opt::<i32>() else {
+                text.extend_from_slice(b"null");
+                return Ok(());
             };
+            let items = list.value(row);
             for item in 0..items.len() {
                 text.push(if item == 0 { b'[' } else { b',' });
                 if items.is_null(item) {
