@@ -68,7 +68,7 @@ result=tests/benches/results/reduce-$(date +%F).md
     echo
     echo "| | wall s | CPU s | peak MiB |"
     echo "|---|---|---|---|"
-    sed 's/^/| /; s/|\([^|]*\)|\([^|]*\)|/ | \1 | \2 | /; s/$/ |/' "$work/lines"
+    awk -F'|' '{ printf "| %s | %s | %s | %s |\n", $1, $2, $3, $4 }' "$work/lines"
     echo
     echo "Ratios of wall time: $(awk -F'|' '{ t[$1] = $2 } END {
         printf "to Polars %.2f (paper), %.2f (balanced), %.2f (random order); to NumPy %.2f (paper)",
