@@ -238,6 +238,13 @@ impl Completion<'_> {
                 let batch = self.columns.conform(&batch?, &names, &table.name)?;
                 let pieces =
                     pieces.get_or_insert_with(|| BatchCoalescer::new(batch.schema(), PIECE_ROWS));
+                if pieces.is_empty() && batch.num_rows() == PIECE_ROWS {
+                    // A whole piece as it is; anything else is cut and joined, which copies it.
+                    if !send(batch, &table.name)? {
+                        return Ok(tally);
+                    }
+                    continue;
+                }
                 pieces
                     .push_batch(batch)
                     .map_err(|error| ReduceFilesError::source(&table.name, error))?;
