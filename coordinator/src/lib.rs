@@ -11,6 +11,7 @@ pub mod picture;
 pub mod progress;
 pub mod publish;
 pub mod reduce;
+pub mod reduce_files;
 pub mod reference;
 pub mod report;
 pub mod run;

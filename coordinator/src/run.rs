@@ -31,6 +31,9 @@ use crate::thresholds::FaultCalibration;
 /// Where a run keeps what it needs to resume, below OUT.
 pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 
+/// The frozen list of videos, below [`STATE_DIRECTORY`].
+pub(crate) const FROZEN_FILE: &str = "corpus.jsonl";
+
 /// Who measured, in `costs.*`, when no fleet is involved.
 const EMBEDDED_WORKER: &str = "embedded";
 
@@ -375,12 +378,12 @@ fn publish_run(
     let corpus = CorpusFile {
         plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
         source: options.sources.clone(),
-        profile: ProfileRecord {
-            name: options.profile.rung.as_str().to_owned(),
+        profile: Some(ProfileRecord {
+            name: Some(options.profile.rung.as_str().to_owned()),
             digest: options.reduce.profile_digest.clone(),
             parameters,
-        },
-        conditioning_frames: options.profile.conditioning_frames,
+        }),
+        conditioning_frames: Some(options.profile.conditioning_frames),
         fault_calibration: options.fault_calibration.clone(),
         statistics: reduced.statistics.clone(),
     };
@@ -412,7 +415,7 @@ fn publish_run(
 
 /// The frozen list beside the journal, for a person who asks what a run was about.
 fn write_frozen(state: &OutDir, entries: &[Entry]) -> Result<(), RunError> {
-    state.put_atomic_with("corpus.jsonl", |writer| {
+    state.put_atomic_with(FROZEN_FILE, |writer| {
         for entry in entries {
             serde_json::to_writer(&mut *writer, entry)?;
             writer.write_all(b"\n")?;

@@ -3,6 +3,7 @@
 mod explain;
 mod flow;
 mod measuring;
+mod reduce;
 mod reference;
 mod sample;
 mod score;
@@ -43,6 +44,7 @@ enum Command {
     Explain(explain::ExplainArgs),
     Flow(flow::FlowArgs),
     Reference(reference::ReferenceArgs),
+    Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
@@ -62,6 +64,7 @@ pub fn main() -> ExitCode {
         Command::Explain(args) => explain::run(args),
         Command::Flow(args) => flow::run(&args),
         Command::Reference(args) => reference::run(args),
+        Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)

@@ -8,7 +8,8 @@ use serde_json::{Value, json};
 
 use crate::progress::say;
 use crate::publish::REPORT_FILE;
-use crate::reduce::histogram::Sorted;
+use crate::reduce::order::OrderStatistics;
+use crate::reduce::values::InMemory;
 use crate::run::Finished;
 
 /// Groups shown on the terminal; the report has them all.
@@ -40,7 +41,9 @@ impl Counts {
     }
 
     fn median(&self) -> Option<f64> {
-        Sorted::new(self.anomalies.clone()).median()
+        let anomalies: InMemory = self.anomalies.iter().copied().collect();
+        let Ok(order) = OrderStatistics::find(&anomalies, self.anomalies.len() as u64, &[], 0);
+        order.median()
     }
 }
 

@@ -11,8 +11,8 @@ use crate::thresholds::FaultCalibration;
 /// The profile that measured the corpus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProfileRecord {
-    /// Its name.
-    pub name: String,
+    /// Its name; `None` where only the digest is known.
+    pub name: Option<String>,
     /// BLAKE3 of its canonical form, hex.
     pub digest: String,
     /// Every parameter.
@@ -26,10 +26,10 @@ pub struct CorpusFile {
     pub plumbline_version: String,
     /// The sources as given.
     pub source: Vec<String>,
-    /// What measured it.
-    pub profile: ProfileRecord,
-    /// Leading frames left out of every statistic.
-    pub conditioning_frames: u32,
+    /// What measured it; `None` where the rows do not say.
+    pub profile: Option<ProfileRecord>,
+    /// Leading frames left out of every statistic; `None` where that is not known.
+    pub conditioning_frames: Option<u32>,
     /// Where the fault thresholds come from, if not from the profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fault_calibration: Option<FaultCalibration>,
@@ -104,6 +104,7 @@ fn all_finite(signal: &SignalStatistics) -> bool {
         counts: _,
         entropy_nats,
         degenerate: _,
+        range_overflow: _,
     } = signal;
     [min, max, mean, std, median, mad, entropy_nats]
         .into_iter()

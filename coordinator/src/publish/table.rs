@@ -210,7 +210,7 @@ const EXACT_FLOAT_INTEGER: u64 = 1 << 53;
 
 /// What values of a carried column have been met.
 #[derive(Debug, Clone, Copy, Default)]
-struct Seen {
+pub struct Seen {
     bools: bool,
     integers: bool,
     negative: bool,
@@ -221,7 +221,8 @@ struct Seen {
 }
 
 impl Seen {
-    fn note(&mut self, value: &Value) {
+    /// Takes note of a value.
+    pub fn note(&mut self, value: &Value) {
         match value {
             Value::Null => {}
             Value::Bool(_) => self.bools = true,
@@ -239,8 +240,49 @@ impl Seen {
         }
     }
 
+    /// What a typed column has seen.
+    #[must_use]
+    pub fn of_kind(kind: Kind) -> Self {
+        let nothing = Self::default();
+        match kind {
+            Kind::Bool => Self {
+                bools: true,
+                ..nothing
+            },
+            Kind::Int64 | Kind::UInt32 => Self {
+                integers: true,
+                ..nothing
+            },
+            Kind::UInt64 => Self {
+                integers: true,
+                beyond_i64: true,
+                ..nothing
+            },
+            Kind::Float64 => Self {
+                floats: true,
+                ..nothing
+            },
+            Kind::Text | Kind::ListUInt32 | Kind::ListText => Self {
+                others: true,
+                ..nothing
+            },
+        }
+    }
+
+    /// Adds what another part has seen.
+    pub fn merge(&mut self, other: Self) {
+        self.bools |= other.bools;
+        self.integers |= other.integers;
+        self.negative |= other.negative;
+        self.beyond_i64 |= other.beyond_i64;
+        self.beyond_float |= other.beyond_float;
+        self.floats |= other.floats;
+        self.others |= other.others;
+    }
+
     /// The narrowest type that holds every value exactly.
-    fn kind(self) -> Kind {
+    #[must_use]
+    pub fn kind(self) -> Kind {
         match (self.others, self.bools, self.integers, self.floats) {
             (false, true, false, false) => Kind::Bool,
             (false, false, true, false) if !self.beyond_i64 => Kind::Int64,

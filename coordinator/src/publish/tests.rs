@@ -286,6 +286,7 @@ fn many_rows_make_bounded_row_groups() {
 
 fn corpus() -> CorpusFile {
     let population = Population {
+        too_few: true,
         n: 1,
         signals: BTreeMap::new(),
         weights: BTreeMap::from([("reproj_px".to_owned(), 0.1 + 0.2)]),
@@ -293,14 +294,16 @@ fn corpus() -> CorpusFile {
     CorpusFile {
         plumbline_version: "0.1.0".to_owned(),
         source: vec!["rollouts/".to_owned()],
-        profile: ProfileRecord {
-            name: "standard".to_owned(),
+        profile: Some(ProfileRecord {
+            name: Some("standard".to_owned()),
             digest: "d1ge57".to_owned(),
             parameters: json!({"working_height_px": 256}),
-        },
-        conditioning_frames: 1,
+        }),
+        conditioning_frames: Some(1),
         fault_calibration: None,
         statistics: CorpusStatistics {
+            degenerate: false,
+            uncertain_decisions: None,
             statuses: BTreeMap::from([("scored".to_owned(), 1)]),
             decisions: BTreeMap::from([("keep".to_owned(), 1)]),
             recipe: Recipe::Paper,

@@ -1,157 +1,174 @@
-//! Sorted samples: equal-width histograms, quantiles, medians.
+//! Equal-width histograms.
 //!
-//! Histograms follow `numpy.histogram` (design section 8): `bins` equal-width bins on [min, max],
-//! edges min + i·(max − min)/bins with the last one exactly max; bin i holds edge_i ≤ x < edge_i+1,
-//! the last bin its upper edge too. A value is compared with the published edges, so that counts
-//! can be checked from `corpus.json`; where floats are too coarse for `bins` distinct edges
-//! (1e15 + small offsets), edges repeat and the bins between equal edges are empty, where numpy
-//! raises. A range that overflows or underflows is divided in another unit.
+//! They follow `numpy.histogram` (design section 8): `bins` equal-width bins on [min, max], edges
+//! min + i·(max − min)/bins with the last one exactly max; bin i holds edge_i ≤ x < edge_i+1, the
+//! last bin its upper edge too. A value is compared with the published edges, so that counts can be
+//! checked from `corpus.json`; where floats are too coarse for `bins` distinct edges (1e15 + small
+//! offsets), edges repeat and the bins between equal edges are empty, where numpy raises. A range
+//! that overflows or underflows is divided in another unit.
 //!
-//! In the unit of the values. Nothing fails; values must be finite, which [`Sorted::new`] sees to.
+//! In the unit of the values. Nothing fails here; values are finite ([`Values`]).
 
 use std::num::NonZeroU16;
 
+use super::order::OrderStatistics;
 use super::outcome::Range;
+use super::values::Values;
 
 /// The winsorised range spans these quantiles (design section 8).
-const WINSORISED_QUANTILES: (f64, f64) = (0.005, 0.995);
+pub const WINSORISED_QUANTILES: (f64, f64) = (0.005, 0.995);
+
+/// The quantiles behind the Freedman-Diaconis rule.
+pub const QUARTILES: (f64, f64) = (0.25, 0.75);
 
 /// More Freedman-Diaconis bins than this say that the middle half of the values is very narrow, not
 /// that the histogram should be finer.
 const FREEDMAN_DIACONIS_MOST_BINS: u16 = 1000;
 
-/// Finite values in ascending order.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Sorted(Vec<f64>);
+/// Steps from the bin that arithmetic says to the one that the edges say, before they are searched.
+const CORRECTIONS: usize = 4;
 
-/// Counts of values between edges.
+/// The bins of a histogram.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Histogram {
+pub struct Edges {
     /// `bins + 1` edges, ascending (equal ones where floats are too coarse).
-    pub edges: Vec<f64>,
-    /// One count per bin.
-    pub counts: Vec<u64>,
+    edges: Vec<f64>,
+    unit: f64,
+    start: f64,
+    step: f64,
 }
 
-impl Sorted {
-    /// Sorts; leaves out what is not finite. −0 becomes 0, so that equal values have equal bits.
+impl Edges {
+    /// `bins` equal bins from `min` to `max`, as `numpy.linspace` computes them.
     #[must_use]
-    pub fn new(mut values: Vec<f64>) -> Self {
-        values.retain(|value| value.is_finite());
-        values.iter_mut().for_each(|value| *value += 0.0);
-        values.sort_unstable_by(f64::total_cmp);
-        Self(values)
-    }
-
-    /// The values.
-    #[must_use]
-    pub fn values(&self) -> &[f64] {
-        &self.0
-    }
-
-    /// The same without one value that is in it.
-    #[must_use]
-    pub fn without(&self, value: f64) -> Self {
-        let mut rest = self.0.clone();
-        let at = rest.partition_point(|&other| other < value);
-        if rest.get(at) == Some(&value) {
-            rest.remove(at);
-        }
-        Self(rest)
-    }
-
-    /// The q-quantile, linear between order statistics (numpy's default); `None` without values.
-    #[must_use]
-    pub fn quantile(&self, q: f64) -> Option<f64> {
-        let last = self.0.len().checked_sub(1)?;
-        let position = q.clamp(0.0, 1.0) * last as f64;
-        let below = (position as usize).min(last);
-        let (a, b) = (self.0[below], self.0[(below + 1).min(last)]);
-        let t = position - below as f64;
-        // Two products cannot overflow where b − a would; the clamp removes their rounding.
-        Some((a * (1.0 - t) + b * t).clamp(a, b))
-    }
-
-    /// The median: the middle value, or the midpoint of the two; `None` without values.
-    #[must_use]
-    pub fn median(&self) -> Option<f64> {
-        median_of_sorted(&self.0)
-    }
-
-    /// The range that a histogram spans; `None` without values.
-    #[must_use]
-    pub fn range(&self, range: Range) -> Option<(f64, f64)> {
-        match range {
-            Range::Full => Some((*self.0.first()?, *self.0.last()?)),
-            Range::Winsorised => Some((
-                self.quantile(WINSORISED_QUANTILES.0)?,
-                self.quantile(WINSORISED_QUANTILES.1)?,
-            )),
-        }
-    }
-
-    /// The histogram; values beyond the range fall into the outer bins. `None` without values.
-    ///
-    /// Equal values all fall into the last bin.
-    #[must_use]
-    pub fn histogram(&self, bins: NonZeroU16, range: Range) -> Option<Histogram> {
-        let (min, max) = self.range(range)?;
-        let edges = equal_width_edges(min, max, bins);
-        let below = |edge: f64| self.0.partition_point(|&value| value < edge);
-        let mut counts = Vec::with_capacity(usize::from(bins.get()));
-        let mut counted = 0;
-        for &upper in &edges[1..usize::from(bins.get())] {
-            let up_to = below(upper).max(counted);
-            counts.push((up_to - counted) as u64);
-            counted = up_to;
-        }
-        counts.push((self.0.len() - counted) as u64);
-        Some(Histogram { edges, counts })
-    }
-
-    /// Bins after Freedman and Diaconis (1981): ⌈(max − min) / (2 IQR n^(−1/3))⌉, at least 1 and at
-    /// most 1000. `None` where the rule says nothing: no values, or an interquartile range of zero.
-    #[must_use]
-    pub fn freedman_diaconis_bins(&self) -> Option<NonZeroU16> {
-        let (min, max) = self.range(Range::Full)?;
-        let (q25, q75) = (self.quantile(0.25)?, self.quantile(0.75)?);
+    pub fn equal_width((min, max): (f64, f64), bins: NonZeroU16) -> Self {
+        let count = f64::from(bins.get());
         let unit = unit_for(min, max);
-        let width = 2.0 * (q75 * unit - q25 * unit) / libm::cbrt(self.0.len() as f64);
-        if width <= 0.0 {
-            return None;
+        let start = min * unit;
+        let width = max * unit - start;
+        let step = width / count;
+        let mut edges: Vec<f64> = (0..bins.get())
+            .map(|i| {
+                let i = f64::from(i);
+                // A denormal step has lost digits; numpy does the same where it is zero.
+                let offset = if step < f64::MIN_POSITIVE {
+                    i / count * width
+                } else {
+                    i * step
+                };
+                ((start + offset) / unit).clamp(min, max)
+            })
+            .collect();
+        edges.push(max);
+        Self {
+            edges,
+            unit,
+            start,
+            step,
         }
-        let bins = ((max * unit - min * unit) / width).ceil();
-        // `as` saturates, also from infinity.
-        NonZeroU16::new((bins as u16).clamp(1, FREEDMAN_DIACONIS_MOST_BINS))
     }
+
+    /// The edges in ascending order.
+    #[must_use]
+    pub fn edges(&self) -> &[f64] {
+        &self.edges
+    }
+
+    /// Where the outer edges lie.
+    #[must_use]
+    pub fn range(&self) -> (f64, f64) {
+        (self.edges[0], self.edges[self.edges.len() - 1])
+    }
+
+    /// The edges between bins.
+    fn inner(&self) -> &[f64] {
+        &self.edges[1..self.edges.len() - 1]
+    }
+
+    /// The bin of a value: as many as there are inner edges at or below it. Values beyond the range
+    /// belong to the outer bins; where the range has no width, to the last one.
+    #[must_use]
+    pub fn bin(&self, value: f64) -> usize {
+        let inner = self.inner();
+        // Saturates; NaN, from a range without width, becomes 0.
+        let guess = ((value * self.unit - self.start) / self.step) as usize;
+        let mut bin = guess.min(inner.len());
+        for _ in 0..CORRECTIONS {
+            if bin > 0 && inner[bin - 1] > value {
+                bin -= 1;
+            } else if bin < inner.len() && inner[bin] <= value {
+                bin += 1;
+            } else {
+                return bin;
+            }
+        }
+        inner.partition_point(|&edge| edge <= value)
+    }
+
+    /// Counts of `values` for several sets of bins, in one pass.
+    ///
+    /// # Errors
+    /// Where the values cannot be read.
+    pub fn count<V: Values>(sets: &[Self], values: &V) -> Result<Vec<Vec<u64>>, V::Error> {
+        values.fold(
+            &|| {
+                sets.iter()
+                    .map(|set| vec![0; set.edges.len() - 1])
+                    .collect::<Vec<Vec<u64>>>()
+            },
+            &|counts, piece| {
+                for (set, counts) in sets.iter().zip(counts) {
+                    for &value in piece {
+                        counts[set.bin(value)] += 1;
+                    }
+                }
+            },
+            &|counts, more| {
+                for (counts, more) in counts.iter_mut().zip(more) {
+                    counts.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+                }
+            },
+        )
+    }
+}
+
+/// The range that a histogram spans; `None` without values.
+#[must_use]
+pub fn range_of(order: &OrderStatistics, range: Range) -> Option<(f64, f64)> {
+    match range {
+        Range::Full => Some((order.min()?, order.max()?)),
+        Range::Winsorised => Some((
+            order.quantile(WINSORISED_QUANTILES.0)?,
+            order.quantile(WINSORISED_QUANTILES.1)?,
+        )),
+    }
+}
+
+/// Bins after Freedman and Diaconis (1981): ⌈(max − min) / (2 IQR n^(−1/3))⌉, at least 1 and at
+/// most 1000. `None` where the rule says nothing: no values, or an interquartile range of zero.
+#[must_use]
+pub fn freedman_diaconis_bins(order: &OrderStatistics, n: u64) -> Option<NonZeroU16> {
+    let (min, max) = range_of(order, Range::Full)?;
+    let (q25, q75) = (order.quantile(QUARTILES.0)?, order.quantile(QUARTILES.1)?);
+    let unit = unit_for(min, max);
+    let width = 2.0 * (q75 * unit - q25 * unit) / libm::cbrt(n as f64);
+    if width <= 0.0 {
+        return None;
+    }
+    let bins = ((max * unit - min * unit) / width).ceil();
+    // `as` saturates, also from infinity.
+    NonZeroU16::new((bins as u16).clamp(1, FREEDMAN_DIACONIS_MOST_BINS))
+}
+
+/// True where max − min is beyond the largest float.
+#[must_use]
+pub fn range_overflows(min: f64, max: f64) -> bool {
+    !(max - min).is_finite()
 }
 
 /// A power of two by which values are multiplied so that their range is a finite float.
 fn unit_for(min: f64, max: f64) -> f64 {
-    if (max - min).is_finite() { 1.0 } else { 0.25 }
-}
-
-/// `bins + 1` edges from `min` to `max`, as `numpy.linspace` computes them.
-fn equal_width_edges(min: f64, max: f64, bins: NonZeroU16) -> Vec<f64> {
-    let count = f64::from(bins.get());
-    let unit = unit_for(min, max);
-    let start = min * unit;
-    let width = max * unit - start;
-    let step = width / count;
-    let mut edges: Vec<f64> = (0..bins.get())
-        .map(|i| {
-            let i = f64::from(i);
-            // A denormal step has lost digits; numpy does the same where it is zero.
-            let offset = if step < f64::MIN_POSITIVE {
-                i / count * width
-            } else {
-                i * step
-            };
-            ((start + offset) / unit).clamp(min, max)
-        })
-        .collect();
-    edges.push(max);
-    edges
+    if range_overflows(min, max) { 0.25 } else { 1.0 }
 }
 
 /// The median of values in ascending order.
@@ -168,13 +185,48 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::reduce::values::InMemory;
 
     fn bins(n: u16) -> NonZeroU16 {
         NonZeroU16::new(n).unwrap()
     }
 
+    struct Histogram {
+        edges: Vec<f64>,
+        counts: Vec<u64>,
+    }
+
+    struct Sample {
+        values: InMemory,
+        n: u64,
+        order: OrderStatistics,
+    }
+
+    impl Sample {
+        fn new(values: Vec<f64>) -> Self {
+            let n = values.len() as u64;
+            let values: InMemory = values.into_iter().collect();
+            let (a, b) = (WINSORISED_QUANTILES, QUARTILES);
+            let Ok(order) = OrderStatistics::find(&values, n, &[a.0, a.1, b.0, b.1], 1);
+            Self { values, n, order }
+        }
+
+        fn histogram(&self, bins: NonZeroU16, range: Range) -> Option<Histogram> {
+            let edges = Edges::equal_width(range_of(&self.order, range)?, bins);
+            let Ok(mut counts) = Edges::count(std::slice::from_ref(&edges), &self.values);
+            Some(Histogram {
+                edges: edges.edges,
+                counts: counts.remove(0),
+            })
+        }
+
+        fn freedman_diaconis_bins(&self) -> Option<NonZeroU16> {
+            freedman_diaconis_bins(&self.order, self.n)
+        }
+    }
+
     fn counts(values: &[f64], n: u16) -> Vec<u64> {
-        Sorted::new(values.to_vec())
+        Sample::new(values.to_vec())
             .histogram(bins(n), Range::Full)
             .unwrap()
             .counts
@@ -212,7 +264,7 @@ mod tests {
         assert_eq!(counts(&[7.0], 4), [0, 0, 0, 1]);
         assert_eq!(counts(&[7.0; 9], 2), [0, 9]);
         assert!(
-            Sorted::new(vec![])
+            Sample::new(vec![])
                 .histogram(bins(3), Range::Full)
                 .is_none()
         );
@@ -244,40 +296,30 @@ mod tests {
     fn winsorised_range_ignores_an_outlier() {
         let mut values: Vec<f64> = (0..1000).map(f64::from).collect();
         values.push(1e9);
-        let sorted = Sorted::new(values);
+        let sorted = Sample::new(values);
         // Positions 5 and 995 of 0..=1000: the values 5 and 995.
-        assert_eq!(sorted.range(Range::Winsorised), Some((5.0, 995.0)));
+        assert_eq!(
+            range_of(&sorted.order, Range::Winsorised),
+            Some((5.0, 995.0))
+        );
         let h = sorted.histogram(bins(10), Range::Winsorised).unwrap();
         // Bins of 99 on [5, 995]; 0–4 go to the first, 995–999 and the outlier to the last.
         assert_eq!(h.counts, [104, 99, 99, 99, 99, 99, 99, 99, 99, 105]);
     }
 
     #[test]
-    fn quantiles_and_medians() {
-        let sorted = Sorted::new(vec![4.0, 1.0, f64::NAN, 2.0, 3.0]);
-        assert_eq!(sorted.median(), Some(2.5));
-        assert_eq!(sorted.quantile(0.25), Some(1.75));
-        assert_eq!(sorted.quantile(1.0), Some(4.0));
-        assert_eq!(Sorted::new(vec![]).quantile(0.5), None);
-        assert_eq!(Sorted::new(vec![]).median(), None);
-        let wide = Sorted::new(vec![-f64::MAX, f64::MAX]);
-        assert_eq!((wide.median(), wide.quantile(0.5)), (Some(0.0), Some(0.0)));
-        assert_eq!(Sorted::new(vec![0.0, -0.0]).values()[0].to_bits(), 0);
-    }
-
-    #[test]
     fn freedman_diaconis() {
         // 0..=1000: IQR 500, n^(1/3) = 10.0033…, width 99.97, 1000/99.97 = 10.003 → 11 bins.
-        let sorted = Sorted::new((0..=1000).map(f64::from).collect());
+        let sorted = Sample::new((0..=1000).map(f64::from).collect());
         assert_eq!(sorted.freedman_diaconis_bins(), Some(bins(11)));
-        let outlier = Sorted::new(vec![1.0, 2.0, 3.0, 4.0, 1e300]);
+        let outlier = Sample::new(vec![1.0, 2.0, 3.0, 4.0, 1e300]);
         assert_eq!(outlier.freedman_diaconis_bins(), Some(bins(1000)));
         assert_eq!(
-            Sorted::new(vec![1.0, 1.0, 1.0, 1.0, 2.0]).freedman_diaconis_bins(),
+            Sample::new(vec![1.0, 1.0, 1.0, 1.0, 2.0]).freedman_diaconis_bins(),
             None
         );
         assert!(
-            Sorted::new(vec![-f64::MAX, 0.0, f64::MAX])
+            Sample::new(vec![-f64::MAX, 0.0, f64::MAX])
                 .freedman_diaconis_bins()
                 .is_some()
         );
@@ -291,10 +333,10 @@ mod tests {
             n in 1_u16..60,
         ) {
             let values: Vec<f64> = values.iter().map(|&v| f64::from(v) * unit).collect();
-            let sorted = Sorted::new(values);
-            prop_assume!(sorted.values().first() < sorted.values().last());
-            let h = sorted.histogram(bins(n), Range::Full).unwrap();
-            prop_assert_eq!((h.edges, h.counts), numpy_histogram(sorted.values(), usize::from(n)));
+            let sample = Sample::new(values.clone());
+            prop_assume!(sample.order.min() < sample.order.max());
+            let h = sample.histogram(bins(n), Range::Full).unwrap();
+            prop_assert_eq!((h.edges, h.counts), numpy_histogram(&values, usize::from(n)));
         }
 
         #[test]
@@ -302,14 +344,14 @@ mod tests {
             values in prop::collection::vec(prop::num::f64::NORMAL | prop::num::f64::SUBNORMAL | prop::num::f64::ZERO, 1..60),
             n in 1_u16..60,
         ) {
-            let sorted = Sorted::new(values);
+            let sorted = Sample::new(values.clone());
             for range in [Range::Full, Range::Winsorised] {
                 let h = sorted.histogram(bins(n), range).unwrap();
                 prop_assert!(h.edges.is_sorted());
                 prop_assert!(h.edges.iter().all(|edge| edge.is_finite()));
                 let last = h.counts.len() - 1;
                 for (i, &count) in h.counts.iter().enumerate() {
-                    let brute = sorted.values().iter().filter(|&&v| {
+                    let brute = values.iter().filter(|&&v| {
                         (i == 0 || v >= h.edges[i]) && (i == last || v < h.edges[i + 1])
                     });
                     prop_assert_eq!(brute.count() as u64, count);

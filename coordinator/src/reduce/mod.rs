@@ -7,10 +7,12 @@
 //! 256-px-high picture; scores have no unit, lower is better. Nothing fails: what cannot be scored
 //! goes to review with its reason, and what a reader must know stands in the warnings.
 
+pub mod double;
 pub mod histogram;
 pub mod interval;
 pub mod moments;
 mod natural;
+pub mod order;
 pub mod outcome;
 pub mod population;
 pub mod recipe;
@@ -19,9 +21,14 @@ pub mod rewards;
 pub mod select;
 pub mod sensitivity;
 pub mod standardise;
+pub mod success;
 pub mod sum;
+pub mod tally;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod twin;
+pub mod values;
 pub mod warnings;
 pub mod weights;
 
@@ -33,12 +40,13 @@ use plumbline_common::row::{Decision, Measurement, Row, Status};
 use serde_json::{Map, Value};
 
 use interval::{IntervalParams, anomaly_interval};
-use outcome::{CorpusStatistics, NormaliseWithin, Population, Range, Recipe};
+use outcome::{CorpusStatistics, NormaliseWithin, Range, Recipe};
 use population::{Surveyed, survey};
-use recipe::{BySignal, Signal};
+use recipe::{BySignal, PAPER, Signal, signals_of};
 use rewards::{Reward, Scored, reward};
 use select::{Candidate, KeepRule, Selected, select};
 use sensitivity::sensitivity;
+use tally::{Cuts, Facts, Tally};
 
 /// The paper's number of histogram bins.
 pub const PAPER_BINS: NonZeroU16 = NonZeroU16::MIN.saturating_add(29);
@@ -88,29 +96,28 @@ pub struct Reduced {
 #[must_use]
 pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduced {
     videos.sort_by(|a, b| a.video.cmp(&b.video));
-    let mut rejected = 0;
-    for video in &mut videos {
-        rejected += u64::from(reject::reject_non_finite(&mut video.measurement));
-    }
+    let rejected: Vec<bool> = videos
+        .iter_mut()
+        .map(|video| reject::reject_non_finite(&mut video.measurement))
+        .collect();
 
     let scored: Vec<&MeasuredVideo> = videos
         .iter()
         .filter(|video| video.measurement.status == Status::Scored)
         .collect();
-    let corpus = survey(&values_of(&scored), options.bins, options.range);
+    let values = population::in_memory(&values_of(&scored));
+    let Ok(corpus) = survey(scored.len() as u64, &values, options.bins, options.range);
     let groups = survey_groups(&scored, options);
-    let fragility = sensitivity(
-        &scored
-            .iter()
-            .map(|video| sensitivity::Row {
-                video: video.video.as_str(),
-                values: BySignal::of(&video.measurement),
-            })
-            .collect::<Vec<_>>(),
-        &corpus.yardstick,
-        options.bins,
-        options.range,
-    );
+    let left_out: Vec<sensitivity::Row> = scored
+        .iter()
+        .map(|video| (video, PAPER.map(|signal| signal.of(&video.measurement))))
+        .filter(|(_, values)| sensitivity::is_left_out(&corpus, values))
+        .map(|(video, values)| sensitivity::Row {
+            video: video.video.as_str().to_owned(),
+            values,
+        })
+        .collect();
+    let Ok(fragility) = sensitivity(&corpus, &values, &left_out, options.bins, options.range);
 
     let mut rows: Vec<Row> = videos
         .into_iter()
@@ -124,43 +131,45 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
         .collect();
     let selected = decide(&mut rows, &options.keep);
     let rewards = reward_rows(&rows, &selected);
-
-    let populations = scored_against(&corpus, &groups, options);
-    let warnings = warnings::warnings(
-        &rows,
-        &populations,
-        &corpus.population,
-        fragility.as_ref(),
-        options,
-        rejected,
-    );
-    let statistics = CorpusStatistics {
-        statuses: count(
-            Status::ALL.map(Status::as_str),
-            rows.iter().map(|row| row.measured.status.as_str()),
-        ),
-        decisions: count(
-            [Decision::Keep, Decision::Drop, Decision::Review].map(decision_name),
-            rows.iter().map(|row| decision_name(row.decision)),
-        ),
-        recipe: options.recipe,
-        bins: options.bins.get().into(),
-        range: options.range,
-        normalised_within: options.normalise_within,
-        keep: options.keep.to_string(),
-        corpus: corpus.population,
-        groups: groups
-            .into_iter()
-            .map(|(name, group)| (name, group.population))
-            .collect(),
-        sensitivity: fragility,
-        warnings,
-    };
+    let tally = tally(&rows, &rejected, options);
+    let groups = groups
+        .into_iter()
+        .map(|(name, group)| (name, group.population))
+        .collect();
     Reduced {
         rows,
-        statistics,
+        statistics: tally.statistics(corpus.population, groups, fragility, options),
         rewards,
     }
+}
+
+fn tally(rows: &[Row], rejected: &[bool], options: &ReduceOptions) -> Tally {
+    let mut cuts = Cuts::default();
+    for row in rows {
+        if let Some(anomaly) = row.anomaly {
+            cuts.note(row.group.as_deref(), anomaly, row.decision);
+        }
+    }
+    let mut tally = Tally::default();
+    for (row, &rejected) in rows.iter().zip(rejected) {
+        let m = &row.measured;
+        let shape = (m.width, m.height, m.fps);
+        tally.note(&Facts {
+            status: m.status,
+            group: row.group.as_deref(),
+            anomaly: row.anomaly,
+            interval: row.anomaly_lo.zip(row.anomaly_hi),
+            lacks_signal: signals_of(options.recipe).any(|signal| signal.of(m).is_none()),
+            shape: match shape {
+                (Some(width), Some(height), Some(fps)) => Some((width, height, fps)),
+                _ => None,
+            },
+            decision: row.decision,
+            rejected,
+            cut: cuts.cut(&row.group.as_deref(), &options.keep),
+        });
+    }
+    tally
 }
 
 fn values_of(videos: &[&MeasuredVideo]) -> Vec<BySignal<Option<f64>>> {
@@ -180,10 +189,9 @@ fn survey_groups(scored: &[&MeasuredVideo], options: &ReduceOptions) -> BTreeMap
     members
         .into_iter()
         .map(|(group, videos)| {
-            (
-                group.to_owned(),
-                survey(&values_of(&videos), options.bins, options.range),
-            )
+            let values = population::in_memory(&values_of(&videos));
+            let Ok(surveyed) = survey(videos.len() as u64, &values, options.bins, options.range);
+            (group.to_owned(), surveyed)
         })
         .collect()
 }
@@ -285,33 +293,6 @@ fn reward_rows(rows: &[Row], selected: &[Selected]) -> Vec<Reward> {
         })
         .collect();
     rewards::rewards(&scored)
-}
-
-/// The populations that rows were scored against, by a name to print.
-fn scored_against<'a>(
-    corpus: &'a Surveyed,
-    groups: &'a BTreeMap<String, Surveyed>,
-    options: &ReduceOptions,
-) -> Vec<(String, &'a Population)> {
-    if options.normalise_within == NormaliseWithin::Group && !groups.is_empty() {
-        return groups
-            .iter()
-            .map(|(name, group)| (format!("group {name}"), &group.population))
-            .collect();
-    }
-    vec![("the corpus".to_owned(), &corpus.population)]
-}
-
-/// How often each name occurs; every one of `names` is present.
-fn count<'a, const N: usize>(
-    names: [&str; N],
-    found: impl Iterator<Item = &'a str>,
-) -> BTreeMap<String, u64> {
-    let mut counts: BTreeMap<String, u64> = names.map(|name| (name.to_owned(), 0)).into();
-    for name in found {
-        *counts.entry(name.to_owned()).or_default() += 1;
-    }
-    counts
 }
 
 /// The name used in every output.

@@ -64,6 +64,12 @@ impl Moments {
         Ok(())
     }
 
+    /// Values so far.
+    #[must_use]
+    pub fn n(&self) -> u64 {
+        self.n
+    }
+
     /// Adds the moments of another part.
     pub fn merge(&mut self, other: &Self) {
         self.n += other.n;

@@ -4,6 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+/// z-scores of fewer rows mean nothing: of two they are always −1 and 1.
+pub const FEWEST_ROWS: u64 = 3;
+
 /// Which signals are combined into the anomaly score.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
@@ -60,6 +63,9 @@ pub struct SignalStatistics {
     /// True where the spread that its z-score divides by is zero (σ for the paper's signals, MAD for
     /// those with a robust z), so that the signal says nothing and weighs nothing.
     pub degenerate: bool,
+    /// True where max − min is beyond the largest float; bins are then equal in another unit.
+    #[serde(default)]
+    pub range_overflow: bool,
 }
 
 /// Entropy weights of the paper's two signals under other choices of histogram.
@@ -67,6 +73,9 @@ pub struct SignalStatistics {
 pub struct WeightSensitivity {
     /// Weights by signal with Freedman-Diaconis bins.
     pub freedman_diaconis: BTreeMap<String, f64>,
+    /// How many bins those are; absent for a signal whose middle half is one value.
+    #[serde(default)]
+    pub freedman_diaconis_bins: BTreeMap<String, u16>,
     /// Weights by signal with the 0.5–99.5% winsorised range.
     pub winsorised: BTreeMap<String, f64>,
     /// The largest change of any weight when one row is left out (above 2000 rows: one of the
@@ -81,6 +90,9 @@ pub struct WeightSensitivity {
 pub struct Population {
     /// Scored rows.
     pub n: u64,
+    /// True with fewer than 3 of them: z-scores of two rows are always −1 and 1.
+    #[serde(default)]
+    pub too_few: bool,
     /// By column name, every signal of every recipe.
     pub signals: BTreeMap<String, SignalStatistics>,
     /// Entropy weights of the paper's two signals, by column name; they sum to 1, or are empty.
@@ -104,6 +116,14 @@ pub struct CorpusStatistics {
     pub normalised_within: NormaliseWithin,
     /// The keep rule as given.
     pub keep: String,
+    /// True where no signal of the recipe tells the scored rows apart, so that every score is 0 and
+    /// ranks follow names.
+    #[serde(default)]
+    pub degenerate: bool,
+    /// Rows that are kept or dropped although their interval reaches across the cut of their group;
+    /// absent where no row has an interval.
+    #[serde(default)]
+    pub uncertain_decisions: Option<u64>,
     /// The whole corpus.
     pub corpus: Population,
     /// Each group on its own, for comparison side by side (empty without groups).

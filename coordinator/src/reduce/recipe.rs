@@ -117,6 +117,32 @@ impl<T> std::ops::IndexMut<Signal> for BySignal<T> {
     }
 }
 
+impl<T> BySignal<T> {
+    /// What `make` makes of each signal.
+    pub fn from_fn(make: impl FnMut(Signal) -> T) -> Self {
+        Self(Signal::ALL.map(make))
+    }
+}
+
+impl<T> BySignal<T> {
+    /// The same where making may fail.
+    ///
+    /// # Errors
+    /// The first failure.
+    pub fn try_from_fn<E>(mut make: impl FnMut(Signal) -> Result<T, E>) -> Result<Self, E> {
+        let [a, b, c, d, e, f, g] = Signal::ALL;
+        Ok(Self([
+            make(a)?,
+            make(b)?,
+            make(c)?,
+            make(d)?,
+            make(e)?,
+            make(f)?,
+            make(g)?,
+        ]))
+    }
+}
+
 impl BySignal<Option<f64>> {
     /// The values of a measurement.
     #[must_use]
@@ -156,14 +182,19 @@ impl Yardstick {
     /// S_r of a row by its values; `None` where it has none that count.
     #[must_use]
     pub fn anomaly(&self, recipe: Recipe, values: &BySignal<Option<f64>>) -> Option<f64> {
-        let z = self.z(values);
+        self.anomaly_of_z(recipe, &self.z(values))
+    }
+
+    /// S_r of a row by its z-scores; `None` where it has none that count.
+    #[must_use]
+    pub fn anomaly_of_z(&self, recipe: Recipe, z: &BySignal<Option<f64>>) -> Option<f64> {
         if !signals_of(recipe).any(|signal| self.counts(recipe, signal)) {
             return signals_of(recipe)
                 .any(|signal| z[signal].is_some())
                 .then_some(0.0);
         }
         match recipe {
-            Recipe::Paper => self.weighted_sum(&z),
+            Recipe::Paper => self.weighted_sum(z),
             Recipe::Balanced => mean(BALANCED.iter().filter_map(|family| {
                 mean(
                     family
@@ -229,15 +260,16 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reduce::histogram::Sorted;
     use crate::reduce::moments::Moments;
     use crate::reduce::standardise::RobustStandard;
 
     /// μ = 2, σ = 1 for the paper's; median 3, MAD 1 for the balanced.
     fn yardstick() -> Yardstick {
         let standard = Ruler::Standard(Moments::of(&[1.0, 3.0]).unwrap().standard().unwrap());
-        let sorted = Sorted::new(vec![1.0, 2.0, 3.0, 4.0, 100.0]);
-        let robust = Ruler::Robust(RobustStandard::of(&sorted).unwrap());
+        let robust = Ruler::Robust(RobustStandard {
+            median: 3.0,
+            mad: 1.0,
+        });
         Yardstick {
             rulers: BySignal([standard, standard, robust, robust, robust, robust, robust]),
             paper_weights: Some([0.75, 0.25]),

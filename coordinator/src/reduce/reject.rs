@@ -11,15 +11,44 @@ pub fn reject_non_finite(measured: &mut Measurement) -> bool {
     let Some(column) = clear_non_finite(measured) else {
         return false;
     };
-    let status = measured.status.as_str();
-    measured.status_reason = Some(match measured.status_reason.take() {
+    measured.status_reason = Some(rejection(
+        column,
+        measured.status,
+        measured.status_reason.take(),
+    ));
+    measured.status = Status::Failed;
+    true
+}
+
+/// The columns of a row that are looked at, in the order in which the first is named.
+pub const CHECKED_COLUMNS: [&str; 15] = [
+    "fps",
+    "duration_s",
+    "motion_px",
+    "reproj_px",
+    "aepe_px",
+    "aepe_worldscore_px",
+    "occluded_fraction",
+    "piecewise_residual",
+    "appearance_ratio",
+    "layer_acceleration",
+    "interior_shear",
+    "detail_change",
+    "contact",
+    "mean_error",
+    "max_jump",
+];
+
+/// The reason of a row that was refused for what stood in `column`.
+#[must_use]
+pub fn rejection(column: &str, status: Status, reason: Option<String>) -> String {
+    let status = status.as_str();
+    match reason {
         Some(reason) => format!("{column} is not a finite number (was {status}: {reason})"),
         None => format!(
             "{column} is not a finite number (was {status}); measure the video again and report it if it persists"
         ),
-    });
-    measured.status = Status::Failed;
-    true
+    }
 }
 
 /// Sets non-finite values to null; the name of the first column that had one.

@@ -63,7 +63,7 @@ pub fn rewards(rows: &[Scored<'_>]) -> Vec<Reward> {
             video: row.video.clone(),
             group: row.group.map(str::to_owned),
             raw,
-            percentile: 1.0 - (row.place.rank as f64 - 0.5) / row.place.ranked as f64,
+            percentile: percentile_reward(&row.place),
             soft: soft_weight(raw, &corpus),
             group_rank: row.place.group_rank,
             group_size: row.place.group_size,
@@ -77,7 +77,15 @@ pub fn reward(anomaly: f64) -> f64 {
     0.0 - anomaly
 }
 
-fn soft_weight(raw: f64, corpus: &Standard) -> f64 {
+/// Share of the corpus that a row with this place is better than.
+#[must_use]
+pub fn percentile_reward(place: &Place) -> f64 {
+    1.0 - (place.rank as f64 - 0.5) / place.ranked as f64
+}
+
+/// Soft weight in [0, 1] of a raw reward, by the corpus' mean and spread of them.
+#[must_use]
+pub fn soft_weight(raw: f64, corpus: &Standard) -> f64 {
     let from_low = raw - (corpus.mean - SOFT_HALF_WIDTH_SIGMAS * corpus.std);
     let width = 2.0 * SOFT_HALF_WIDTH_SIGMAS * corpus.std + SOFT_FLOOR;
     (from_low / width).clamp(0.0, 1.0)

@@ -89,6 +89,19 @@ impl FromStr for KeepRule {
     }
 }
 
+impl KeepRule {
+    /// What becomes of a row with this place and score.
+    #[must_use]
+    pub fn decide(&self, place: &Place, anomaly: f64) -> Decision {
+        let kept = match self {
+            Self::Best(n) => place.group_rank <= *n,
+            Self::Percent(percent) => place.group_rank <= percent.of(place.group_size),
+            Self::AtMost(most) => anomaly <= *most,
+        };
+        if kept { Decision::Keep } else { Decision::Drop }
+    }
+}
+
 fn percent(number: &str, rule: &str) -> Result<Percent, KeepRuleError> {
     let refused = || KeepRuleError::Percent(rule.to_owned());
     let (whole, decimals) = number.split_once('.').unwrap_or((number, "0"));
@@ -203,12 +216,7 @@ pub fn select(candidates: &[Candidate<'_>], keep: &KeepRule) -> Vec<Selected> {
             group_rank: *group_rank,
             group_size: group_sizes.get(&group).copied().unwrap_or(0),
         };
-        let kept = match keep {
-            KeepRule::Best(n) => place.group_rank <= *n,
-            KeepRule::Percent(percent) => place.group_rank <= percent.of(place.group_size),
-            KeepRule::AtMost(most) => anomaly <= *most,
-        };
-        let decision = if kept { Decision::Keep } else { Decision::Drop };
+        let decision = keep.decide(&place, anomaly);
         selected[i] = Selected {
             place: Some(place),
             decision,

@@ -227,6 +227,111 @@ fn an_outlier_makes_the_weights_fragile() {
     assert_eq!(found.statistics.decisions["keep"], 10);
 }
 
+/// Quantiles of Weibull distributions: s_p has entropy 2.76 and weight .47. One outlier among 400
+/// rows, 2.7 times the largest of the others, widens the bins: entropy 1.36, weight .78 (evidence.md
+/// section 3). Every other look at the weights says so, and the winsorised range undoes it.
+#[test]
+fn one_outlier_moves_a_weight_from_47_to_78() {
+    const N: u32 = 400;
+    let weibull = |i: u32, power: f64| {
+        let q = (f64::from(i) + 0.5) / f64::from(N);
+        libm::pow(-libm::log1p(-q), power)
+    };
+    let videos = |outlier: Option<f64>| -> Vec<MeasuredVideo> {
+        (0..N)
+            .map(|i| {
+                let aepe = outlier
+                    .filter(|_| i == N - 1)
+                    .unwrap_or_else(|| weibull(i, 0.8));
+                video(
+                    &format!("v{i:03}"),
+                    [Some(weibull(i * 7 % N, 0.9)), Some(aepe), None, None],
+                )
+            })
+            .collect()
+    };
+    let run = |outlier, range| {
+        let mut o = options(Recipe::Paper, 30, "50%");
+        o.range = range;
+        reduce(videos(outlier), &o).statistics
+    };
+    let weight = |s: &outcome::CorpusStatistics| s.corpus.weights["aepe_worldscore_px"];
+
+    let before = run(None, Range::Full);
+    assert!((weight(&before) - 0.47).abs() < 0.005);
+    assert!(
+        !before
+            .warnings
+            .iter()
+            .any(|w| w.contains("fragile: without")),
+        "{:?}",
+        before.warnings
+    );
+    let with = run(Some(18.7), Range::Full);
+    assert!((weight(&with) - 0.78).abs() < 0.005, "{}", weight(&with));
+    let entropy = with.corpus.signals["aepe_worldscore_px"]
+        .entropy_nats
+        .unwrap();
+    assert!((entropy - 1.36).abs() < 0.03, "{entropy}");
+    let sensitivity = with.sensitivity.as_ref().unwrap();
+    assert_eq!(sensitivity.leave_one_out_video.as_deref(), Some("v399"));
+    assert!(
+        (sensitivity.leave_one_out_max_change - (weight(&with) - weight(&before))).abs() < 0.05
+    );
+    assert!((sensitivity.winsorised["aepe_worldscore_px"] - weight(&before)).abs() < 0.05);
+    assert!(sensitivity.freedman_diaconis_bins["aepe_worldscore_px"] > 60);
+    for how in [
+        "fragile: without v399",
+        "fragile: with the winsorised range",
+    ] {
+        assert!(
+            with.warnings.iter().any(|w| w.contains(how)),
+            "{how}: {:?}",
+            with.warnings
+        );
+    }
+
+    let cured = run(Some(18.7), Range::Winsorised);
+    let clean = run(None, Range::Winsorised);
+    assert!(
+        (weight(&cured) - weight(&clean)).abs() < 0.01,
+        "{} {}",
+        weight(&cured),
+        weight(&clean)
+    );
+    assert!(
+        !cured
+            .warnings
+            .iter()
+            .any(|w| w.contains("fragile: without")),
+        "{:?}",
+        cured.warnings
+    );
+}
+
+#[test]
+fn degenerate_cases_have_a_type() {
+    let s =
+        |videos: Vec<MeasuredVideo>| reduce(videos, &options(Recipe::Paper, 30, "50%")).statistics;
+    let two = s(corpus()[..2].to_vec());
+    assert!(two.corpus.too_few && two.degenerate);
+    assert!(two.corpus.signals["reproj_px"].degenerate);
+    let four = s(corpus());
+    assert!(!four.corpus.too_few && !four.degenerate && four.uncertain_decisions.is_none());
+    let mut wide = corpus();
+    wide[0].measurement.reproj_px = Some(-f64::MAX);
+    wide[1].measurement.reproj_px = Some(f64::MAX);
+    let wide = s(wide);
+    assert!(wide.corpus.signals["reproj_px"].range_overflow);
+    assert!(!wide.corpus.signals["aepe_worldscore_px"].range_overflow);
+    assert!(
+        wide.warnings
+            .iter()
+            .any(|w| w.contains("more than the largest float"))
+    );
+    assert!(!s(Vec::new()).degenerate && s(Vec::new()).corpus.too_few);
+}
+
 /// Expected of each: nothing that is not finite in any output, and weights that sum to 1 or are empty.
 #[test]
 fn extremes() {

@@ -1,48 +1,54 @@
 //! Entropy weights: the less a signal's values are spread over its histogram, the more it weighs.
 //!
 //! H = −Σ p ln p in nats, weights = softmax(−H) (the paper's equations; design section 8). A signal
-//! without spread has entropy 0 and would weigh most; it gets weight 0 instead. Nothing fails.
+//! without spread has entropy 0 and would weigh most; it gets weight 0 instead. Both are found in
+//! twice the precision and rounded once, so that a weight is right to its last place whatever the
+//! entropies (`twin` checks it). Nothing fails.
 
-use super::sum::ExactSum;
+use super::double::Double;
 
 /// H = −Σ p ln p with p = c/n, 0 ln 0 = 0; in [0, ln bins]. `None` where nothing was counted.
 #[must_use]
 pub fn entropy_nats(counts: &[u64]) -> Option<f64> {
+    entropy(counts).map(Double::value)
+}
+
+/// The entropy before it is rounded to a float.
+#[must_use]
+pub fn entropy(counts: &[u64]) -> Option<Double> {
     let n: u64 = counts.iter().sum();
     if n == 0 {
         return None;
     }
-    let mut sum = ExactSum::default();
-    for &count in counts.iter().filter(|&&count| count > 0) {
-        // Finite, hence never refused.
-        let _ = sum.add(count as f64 * surprise_nats(count, n));
-    }
-    Some(sum.value() / n as f64)
-}
-
-/// −ln(count/n). Near p = 1 the logarithm is taken of the small complement, whose digits p has lost.
-fn surprise_nats(count: u64, n: u64) -> f64 {
-    if count > n / 2 {
-        0.0 - libm::log1p(-((n - count) as f64 / n as f64))
-    } else {
-        -libm::log(count as f64 / n as f64)
-    }
+    let zero = Double::default();
+    let sum = counts
+        .iter()
+        .filter(|&&count| count > 0 && count < n)
+        .fold(zero, |sum, &count| {
+            let p = Double::from(count).over(Double::from(n));
+            sum + p * (zero - p.ln())
+        });
+    Some(sum)
 }
 
 /// softmax(−H), shifted by the smallest H so that the largest exponential is 1.
 #[must_use]
-pub fn softmax_of_negated(entropies: &[f64]) -> Vec<f64> {
-    let least = entropies.iter().copied().fold(f64::INFINITY, f64::min);
-    let powers: Vec<f64> = entropies.iter().map(|&h| libm::exp(least - h)).collect();
-    let total: f64 = powers.iter().sum();
-    powers.iter().map(|power| power / total).collect()
+pub fn softmax_of_negated(entropies: &[Double]) -> Vec<f64> {
+    let least = entropies
+        .iter()
+        .copied()
+        .reduce(|least, h| if h.is_below(least) { h } else { least })
+        .unwrap_or_default();
+    let powers: Vec<Double> = entropies.iter().map(|&h| (least - h).exp()).collect();
+    let total = powers.iter().fold(Double::default(), |sum, &p| sum + p);
+    powers.iter().map(|p| p.over(total).value()).collect()
 }
 
 /// Weights of signals by entropy; `None` stands for a signal that says nothing, which weighs 0.
 /// `None` where no signal says anything; otherwise the weights sum to 1.
 #[must_use]
-pub fn entropy_weights(entropies: &[Option<f64>]) -> Option<Vec<f64>> {
-    let defined: Vec<f64> = entropies.iter().copied().flatten().collect();
+pub fn entropy_weights(entropies: &[Option<Double>]) -> Option<Vec<f64>> {
+    let defined: Vec<Double> = entropies.iter().copied().flatten().collect();
     if defined.is_empty() {
         return None;
     }
@@ -60,6 +66,25 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    fn softmax_of_negated(entropies: &[f64]) -> Vec<f64> {
+        super::softmax_of_negated(
+            &entropies
+                .iter()
+                .copied()
+                .map(Double::from)
+                .collect::<Vec<_>>(),
+        )
+    }
+
+    fn entropy_weights(entropies: &[Option<f64>]) -> Option<Vec<f64>> {
+        super::entropy_weights(
+            &entropies
+                .iter()
+                .map(|h| h.map(Double::from))
+                .collect::<Vec<_>>(),
+        )
+    }
 
     /// The two corpora of the paper, to its two decimals.
     #[test]

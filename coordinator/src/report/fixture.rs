@@ -161,14 +161,16 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
     CorpusFile {
         plumbline_version: "0.1.0".to_owned(),
         source: vec!["rollouts/2026-05".to_owned()],
-        profile: ProfileRecord {
-            name: "standard".to_owned(),
+        profile: Some(ProfileRecord {
+            name: Some("standard".to_owned()),
             digest: "5f3a9c1e7b".repeat(6),
             parameters: json!({"working_height_px": 256, "flow": {"finest_scale": 1}}),
-        },
-        conditioning_frames: 1,
+        }),
+        conditioning_frames: Some(1),
         fault_calibration: None,
         statistics: CorpusStatistics {
+            degenerate: false,
+            uncertain_decisions: None,
             statuses: BTreeMap::new(),
             decisions: BTreeMap::new(),
             recipe,
@@ -182,6 +184,7 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
                 .map(|(name, rows)| (name.clone(), population(rows)))
                 .collect(),
             sensitivity: (all.len() > 2).then(|| WeightSensitivity {
+                freedman_diaconis_bins: BTreeMap::new(),
                 freedman_diaconis: weights(0.55),
                 winsorised: weights(0.48),
                 leave_one_out_max_change: 0.083,
@@ -203,6 +206,7 @@ fn population(rows: &[&Row]) -> Population {
         }
         let n = values.len() as f64;
         SignalStatistics {
+            range_overflow: false,
             n: values.len() as u64,
             min: Some(lo),
             max: Some(hi),
@@ -225,6 +229,7 @@ fn population(rows: &[&Row]) -> Population {
     };
     if rows.is_empty() {
         return Population {
+            too_few: true,
             n: 0,
             signals: BTreeMap::new(),
             weights: BTreeMap::new(),
@@ -241,6 +246,7 @@ fn population(rows: &[&Row]) -> Population {
         ),
     ]);
     Population {
+        too_few: false,
         n: rows.len() as u64,
         signals,
         weights: BTreeMap::from([

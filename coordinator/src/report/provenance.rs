@@ -19,7 +19,13 @@ pub(super) fn section(input: &ReportInput<'_>) -> Section {
         Range::Full => "full range",
         Range::Winsorised => "0.5–99.5% range",
     };
-    let parameters: String = serde_json::to_string_pretty(&corpus.profile.parameters)
+    let parameters = corpus
+        .profile
+        .as_ref()
+        .map(|profile| &profile.parameters)
+        .filter(|p| !p.is_null());
+    let parameters: String = parameters
+        .and_then(|parameters| serde_json::to_string_pretty(parameters).ok())
         .unwrap_or_default()
         .chars()
         .take(PARAMETER_CHARS)
@@ -32,18 +38,22 @@ pub(super) fn section(input: &ReportInput<'_>) -> Section {
                 @for source in corpus.source.iter().take(ENTRIES) { (entry("Source", html! { (text::name(source)) })) }
                 @if corpus.source.len() > ENTRIES { (entry("Source", html! { (text::length(corpus.source.len() - ENTRIES)) " more in corpus.json" })) }
                 (entry("Version", html! { (corpus.plumbline_version) }))
-                (entry("Profile", html! { (text::name(&corpus.profile.name)) }))
-                (entry("Profile digest", html! { code { (text::visible(&corpus.profile.digest)) } }))
+                @if let Some(profile) = &corpus.profile {
+                    @if let Some(name) = &profile.name { (entry("Profile", html! { (text::name(name)) })) }
+                    (entry("Profile digest", html! { code { (text::visible(&profile.digest)) } }))
+                }
                 (entry("Recipe", html! { (recipe_name(statistics.recipe)) }))
                 (entry("Keep rule", html! { code { (text::visible(&statistics.keep)) } }))
                 (entry("Histogram", html! { (statistics.bins) " bins, " (range) }))
-                (entry("Left out", html! { (corpus.conditioning_frames) " leading frame" @if corpus.conditioning_frames != 1 { "s" } " of each video (conditioning)" }))
+                @if let Some(frames) = corpus.conditioning_frames {
+                    (entry("Left out", html! { (frames) " leading frame" @if frames != 1 { "s" } " of each video (conditioning)" }))
+                }
                 @for (name, value) in input.options.iter().take(ENTRIES) {
                     (entry(&text::plain_name(name, 60), html! { code { (text::plain_name(value, 300)) } }))
                 }
                 @if let Some(costs) = input.costs { (entry("Compute", cost(&costs))) }
             }
-            @if !corpus.profile.parameters.is_null() {
+            @if !parameters.is_empty() {
                 details { summary { "Profile parameters" } pre { (parameters) } }
             }
         }),

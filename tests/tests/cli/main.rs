@@ -20,6 +20,7 @@ mod heatmaps;
 mod hostile;
 mod main_path;
 mod paper;
+mod reduce;
 mod reference;
 mod resume;
 mod sources;

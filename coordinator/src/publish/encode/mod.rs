@@ -3,6 +3,7 @@
 //! Each writer is a function of the columns and the records alone, so that equal rows give equal
 //! bytes: no time stamps, no hash order.
 
+pub mod batches;
 mod csv;
 mod jsonl;
 mod parquet;
@@ -13,6 +14,7 @@ use std::io::{self, Write};
 use serde_json::Value;
 
 use crate::publish::table::{Cell, Column};
+pub use parquet::{data_type, to_batch};
 
 /// A table format.
 #[derive(

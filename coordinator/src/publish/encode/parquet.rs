@@ -21,7 +21,28 @@ use crate::publish::table::{Cell, Column, Kind};
 /// Rows per batch handed to the writer: bounds the arrays held beside the records.
 const BATCH_ROWS: usize = 8_192;
 /// Rows per row group: readers skip and parallelise by it; about 20 MB of our columns unpacked.
-const ROW_GROUP_ROWS: usize = 65_536;
+pub(super) const ROW_GROUP_ROWS: usize = 65_536;
+
+/// Records to columns of Arrow.
+///
+/// # Errors
+/// [`EncodeError`] when a value does not fit its column.
+pub fn to_batch<R>(columns: &[Column<R>], records: &[R]) -> Result<RecordBatch, EncodeError> {
+    let fields: Vec<Field> = columns
+        .iter()
+        .map(|column| Field::new(&column.name, data_type(column.kind), true))
+        .collect();
+    let arrays = columns
+        .iter()
+        .map(|column| array(column, records))
+        .collect::<Result<Vec<_>, _>>()?;
+    let options = RecordBatchOptions::new().with_row_count(Some(records.len()));
+    Ok(RecordBatch::try_new_with_options(
+        Arc::new(Schema::new(fields)),
+        arrays,
+        &options,
+    )?)
+}
 
 pub(super) fn write<R>(
     columns: &[Column<R>],
@@ -52,7 +73,9 @@ pub(super) fn write<R>(
     Ok(())
 }
 
-fn data_type(kind: Kind) -> DataType {
+/// The Arrow type of a column.
+#[must_use]
+pub fn data_type(kind: Kind) -> DataType {
     match kind {
         Kind::Text => DataType::Utf8,
         Kind::UInt32 => DataType::UInt32,
@@ -88,7 +111,13 @@ fn array<R>(column: &Column<R>, records: &[R]) -> Result<ArrayRef, EncodeError> 
             let mut builder = ListBuilder::new(UInt32Builder::new());
             for cell in cells {
                 builder.append_option(match cell {
-                    Cell::Counts(counts) => Some(counts.iter().copied().map(Some)),
+                    Cell::Counts(counts) => Some(counts.iter().copied().map(Some).collect()),
+                    Cell::Carried(Value::Array(values)) => Some(
+                        values
+                            .iter()
+                            .map(|v| v.as_u64().and_then(|n| u32::try_from(n).ok()))
+                            .collect::<Vec<_>>(),
+                    ),
                     _ => None,
                 });
             }
@@ -98,7 +127,12 @@ fn array<R>(column: &Column<R>, records: &[R]) -> Result<ArrayRef, EncodeError> 
             let mut builder = ListBuilder::new(StringBuilder::new());
             for cell in cells {
                 builder.append_option(match cell {
-                    Cell::Texts(texts) => Some(texts.iter().map(Some)),
+                    Cell::Texts(texts) => {
+                        Some(texts.iter().map(|text| Some(text.as_str())).collect())
+                    }
+                    Cell::Carried(Value::Array(values)) => {
+                        Some(values.iter().map(Value::as_str).collect::<Vec<_>>())
+                    }
                     _ => None,
                 });
             }

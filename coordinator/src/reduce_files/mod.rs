@@ -1,0 +1,289 @@
+//! `plumbline reduce`: the reduce over rows in files, in memory that does not grow with them.
+//!
+//! The statistics are those of `reduce`, gone through over scratch files ([`float_file`]) instead of
+//! vectors. Passes over the rows: take in (signals, groups, order), sort if need be, write out. In
+//! between everything works on 8 bytes per row and signal. Memory grows with the number of groups
+//! alone, since each has statistics of its own in `corpus.json`. Same bits for any order of rows, any
+//! split into parts, any number of threads.
+
+mod by_group;
+mod columns;
+pub mod error;
+mod float_file;
+mod intake;
+mod output;
+mod parts;
+mod paths;
+mod places;
+mod rows;
+mod scoring;
+mod sort;
+mod table_file;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use arrow_array::Array;
+
+use crate::corpus::GroupBy;
+use crate::lease::Lease;
+use crate::publish::corpus::corpus_json;
+use crate::publish::{self, CORPUS_FILE, CorpusFile, Format, OutDir, ProfileRecord, REPORT_FILE};
+use crate::reduce::ReduceOptions;
+use crate::reduce::outcome::CorpusStatistics;
+use crate::reduce::population::{Surveyed, survey};
+use crate::reduce::recipe::PAPER;
+use crate::reduce::sensitivity::{self, sensitivity};
+use crate::run::STATE_DIRECTORY;
+pub use error::ReduceFilesError;
+use intake::{Intake, Taken, take_in};
+use output::Completion;
+use paths::Paths;
+use places::Places;
+use scoring::Yardsticks;
+
+/// What is held in memory at a time; results do not depend on it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Budget {
+    /// Rows whose scores are sorted together, 24 bytes each.
+    pub section_rows: u64,
+    /// Rows of groups that are surveyed together, 64 bytes each.
+    pub bucket_rows: u64,
+    /// Bytes of rows that are sorted by name together.
+    pub run_bytes: usize,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self {
+            section_rows: 1 << 20,
+            bucket_rows: 1 << 20,
+            run_bytes: 64 << 20,
+        }
+    }
+}
+
+/// A usable `plumbline reduce`.
+#[derive(Debug, Clone)]
+pub struct ReduceFilesOptions {
+    /// Files of rows, or directories of them.
+    pub sources: Vec<PathBuf>,
+    /// Where results go.
+    pub out: PathBuf,
+    /// How rows are grouped; as they say themselves where it is `None`.
+    pub group_by: Option<GroupBy>,
+    /// How rows become decisions; the profile's digest is taken from the rows.
+    pub reduce: ReduceOptions,
+    /// Formats of the tables.
+    pub formats: BTreeSet<Format>,
+    /// Threads for the statistics, at least 1.
+    pub threads: usize,
+    /// What is held in memory.
+    pub budget: Budget,
+}
+
+/// A finished reduce.
+#[derive(Debug)]
+pub struct ReducedFiles {
+    /// What was published.
+    pub files: Vec<String>,
+    /// Rows.
+    pub rows: u64,
+    /// What `corpus.json` says.
+    pub statistics: CorpusStatistics,
+}
+
+impl ReducedFiles {
+    /// Whether every row is scored or static.
+    #[must_use]
+    pub fn complete(&self) -> bool {
+        output::complete(&self.statistics.statuses)
+    }
+}
+
+/// Reduces rows that lie in files.
+///
+/// # Errors
+/// [`ReduceFilesError`]; `corpus.json` is then absent.
+pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, ReduceFilesError> {
+    let files = parts::files(&options.sources)?;
+    refuse_own_source(&files, &options.out)?;
+    let out = OutDir::create(&options.out)?;
+    let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
+    let scratch = state.root();
+    let _lease = Lease::take(&state)?.ok_or_else(|| ReduceFilesError::OutInUse {
+        out: options.out.display().to_string(),
+    })?;
+    out.sweep_partials()?;
+    out.remove(CORPUS_FILE)?;
+
+    let (tables, columns) = parts::open(&files, scratch)?;
+    if tables.is_empty() {
+        return Err(ReduceFilesError::Empty {
+            sources: files
+                .iter()
+                .map(|file| file.display().to_string())
+                .collect::<Vec<_>>()
+                .join(", "),
+        });
+    }
+    let group_by = options.group_by.as_ref();
+    let intake = match take_in(tables, &columns, group_by, scratch, options.threads)? {
+        Taken::Ordered(intake) => intake,
+        Taken::Unordered(tables) => {
+            let sorted = sort::sorted(&tables, &columns, scratch, options.budget.run_bytes)?;
+            match take_in(vec![sorted], &columns, group_by, scratch, options.threads)? {
+                Taken::Ordered(intake) => intake,
+                // Sorting has put them in order; this cannot be.
+                Taken::Unordered(_) => return Err(ReduceFilesError::Thread),
+            }
+        }
+    };
+
+    let reduced = &options.reduce;
+    let corpus = survey(intake.scored, &intake.signals, reduced.bins, reduced.range)?;
+    let groups = by_group::survey_groups(&intake, options, scratch)?;
+    let left_out = left_out(&intake, &corpus)?;
+    let fragility = sensitivity(
+        &corpus,
+        &intake.signals,
+        &left_out,
+        reduced.bins,
+        reduced.range,
+    )?;
+    let yardsticks = Yardsticks::of(&corpus, &groups, &intake, reduced);
+    let (anomalies, rewards) =
+        scoring::score(&intake, &yardsticks, reduced, scratch, options.threads)?;
+    let places = Places::rank(
+        &anomalies,
+        intake.groups.as_ref(),
+        &reduced.keep,
+        scratch,
+        options.budget.section_rows,
+    )?;
+
+    let completion = Completion {
+        intake: &intake,
+        columns: &columns,
+        yardsticks: &yardsticks,
+        anomalies: &anomalies,
+        rewards: rewards.as_ref(),
+        places: &places,
+        options: reduced,
+    };
+    let (mut files_written, tally) =
+        output::write(&out, &completion, Paths::beside(&files), &options.formats)?;
+    out.remove(REPORT_FILE)?;
+    for format in Format::ALL {
+        out.remove(&format!("costs.{}", format.extension()))?;
+    }
+    let groups = groups
+        .into_iter()
+        .map(|(name, group)| (name, group.population))
+        .collect();
+    let statistics = tally.statistics(corpus.population, groups, fragility, reduced);
+    let bytes = corpus_json(&corpus_file(&files, &intake, statistics.clone()))?;
+    out.put_atomic(CORPUS_FILE, &bytes)?;
+    files_written.push(publish::CORPUS_FILE.to_owned());
+    Ok(ReducedFiles {
+        files: files_written,
+        rows: intake.rows,
+        statistics,
+    })
+}
+
+fn refuse_own_source(files: &[PathBuf], out: &Path) -> Result<(), ReduceFilesError> {
+    let Ok(target) = out.canonicalize() else {
+        return Ok(());
+    };
+    let lies_there = |file: &PathBuf| {
+        let parent = file
+            .canonicalize()
+            .ok()
+            .and_then(|file| file.parent().map(Path::to_path_buf));
+        parent.is_some_and(|parent| parent == target || parent == target.join("manifests"))
+    };
+    if files.iter().any(lies_there) {
+        return Err(ReduceFilesError::OutIsSource {
+            out: out.display().to_string(),
+        });
+    }
+    Ok(())
+}
+
+/// The rows whose absence the weights are tried with, by name.
+fn left_out(intake: &Intake, corpus: &Surveyed) -> Result<Vec<sensitivity::Row>, ReduceFilesError> {
+    let [a, b] = PAPER.map(|signal| &intake.signals[signal]);
+    let mut found: BTreeMap<u64, sensitivity::Row> = BTreeMap::new();
+    let mut others = Vec::new();
+    let mut bytes = Vec::new();
+    a.pieces(0..intake.rows, |first, piece| {
+        others.resize(piece.len(), f64::NAN);
+        b.read(first, &mut others, &mut bytes)?;
+        for ((row, &a), &b) in (first..).zip(piece.iter()).zip(&others) {
+            let values = [a, b].map(|value| Some(value).filter(|value| !value.is_nan()));
+            if sensitivity::is_left_out(corpus, &values) {
+                let video = String::new();
+                found.insert(row, sensitivity::Row { video, values });
+            }
+        }
+        Ok(())
+    })?;
+    let mut first = 0;
+    for table in &intake.tables {
+        for (row_group, rows) in table.row_groups().into_iter().enumerate() {
+            let wanted = first..first + rows;
+            first = wanted.end;
+            if found.range(wanted.clone()).next().is_none() {
+                continue;
+            }
+            let mut at = wanted.start;
+            for batch in table.read(&["video"], Some(vec![row_group]), table_file::BATCH_ROWS)? {
+                let batch = batch?;
+                let rows = at..at + batch.num_rows() as u64;
+                if let Some(videos) = rows::texts(&batch, "video") {
+                    for (row, left_out) in found.range_mut(rows.clone()) {
+                        let k = (row - at) as usize;
+                        if videos.is_valid(k) {
+                            videos.value(k).clone_into(&mut left_out.video);
+                        }
+                    }
+                }
+                at = rows.end;
+            }
+        }
+    }
+    Ok(found.into_values().collect())
+}
+
+/// `corpus.json`: profile and source are those of the run that the rows come from, where its own
+/// `corpus.json` lies beside them and speaks of the same profile.
+fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics) -> CorpusFile {
+    let digest = intake.profile_digest.clone();
+    let beside = files
+        .iter()
+        .filter_map(|file| std::fs::read(file.with_file_name(CORPUS_FILE)).ok())
+        .filter_map(|bytes| serde_json::from_slice::<CorpusFile>(&bytes).ok())
+        .find(|corpus| corpus.profile.as_ref().map(|profile| &profile.digest) == digest.as_ref());
+    match beside {
+        Some(corpus) => CorpusFile {
+            plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
+            statistics,
+            ..corpus
+        },
+        None => CorpusFile {
+            plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
+            source: Vec::new(),
+            profile: digest.map(|digest| ProfileRecord {
+                name: None,
+                digest,
+                parameters: serde_json::Value::Null,
+            }),
+            conditioning_frames: None,
+            fault_calibration: None,
+            statistics,
+        },
+    }
+}
