@@ -1,6 +1,6 @@
 //! `plumbline reduce`: the reduce over rows in files, in memory that does not grow with them.
 //!
-//! The statistics are those of `reduce`, gone through over scratch files ([`float_file`]) instead of
+//! The statistics are those of `reduce`, gone through over scratch files (`float_file`) instead of
 //! vectors. Passes over the rows: take in (signals, groups, order), sort if need be, write out. In
 //! between everything works on 8 bytes per row and signal. Memory grows with the number of groups
 //! alone, since each has statistics of its own in `corpus.json`. Same bits for any order of rows, any

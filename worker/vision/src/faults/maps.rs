@@ -106,7 +106,7 @@ fn local_deviation(plane: &Plane, radius: usize) -> Vec<f64> {
     deviation
 }
 
-/// to[i] += from[i].
+/// `to[i] += from[i]`.
 fn add(to: &mut [f64], from: &[f64]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to += from;

@@ -82,7 +82,7 @@ impl Kernel for Convolution<'_> {
     }
 }
 
-/// out[x] = Σ kernel[k] · line(k)[x], in blocks that stay in registers.
+/// `out[x] = Σ kernel[k] · line(k)[x]`, in blocks that stay in registers.
 #[inline(always)]
 fn weigh<'a>(kernel: &[f32], out: &mut [f32], line: impl Fn(usize) -> &'a [f32]) {
     let whole = out.len() - out.len() % BLOCK;

@@ -25,7 +25,7 @@ pub(super) fn erode(mask: &[bool], width: usize, radius: usize) -> Vec<bool> {
     eroded
 }
 
-/// to[i] &= from[i], as far as both reach.
+/// `to[i] &= from[i]`, as far as both reach.
 fn and(to: &mut [bool], from: &[bool]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to &= *from;
