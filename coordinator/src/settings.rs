@@ -65,7 +65,7 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Value`].
     pub fn validate(&self) -> Result<(), SettingsError> {
-        const MIN_MEMORY_MIB: u64 = 256;
+        const MIN_MEMORY_MIB: u64 = 320;
         let ComputeLimits {
             deadline_s,
             memory_mib,
@@ -80,7 +80,7 @@ impl Settings {
         if memory_mib < MIN_MEMORY_MIB {
             return Err(SettingsError::Value {
                 name: "compute.memory_mib",
-                wanted: "256 or more",
+                wanted: "320 or more",
                 found: memory_mib as f64,
             });
         }

@@ -21,7 +21,7 @@ pub fn reject_non_finite(measured: &mut Measurement) -> bool {
 }
 
 /// The columns of a row that are looked at, in the order in which the first is named.
-pub const CHECKED_COLUMNS: [&str; 15] = [
+pub const CHECKED_COLUMNS: [&str; 17] = [
     "fps",
     "duration_s",
     "motion_px",
@@ -32,8 +32,10 @@ pub const CHECKED_COLUMNS: [&str; 15] = [
     "piecewise_residual",
     "appearance_ratio",
     "layer_acceleration",
+    "layer_acceleration_q25",
     "interior_shear",
     "detail_change",
+    "detail_change_q25",
     "contact",
     "mean_error",
     "max_jump",
@@ -163,6 +165,13 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_signal_is_checked() {
+        for signal in crate::reduce::recipe::Signal::ALL {
+            assert!(CHECKED_COLUMNS.contains(&signal.column()), "{signal:?}");
+        }
+    }
 
     #[test]
     fn non_finite_values_become_a_failure() {

@@ -310,7 +310,7 @@ fn a_memory_limit_costs_rows_and_not_the_run() {
         &place.video("large.mp4"),
         &[grey.clone(), grey.clone(), grey.clone(), grey],
     );
-    let ended = place.run("out", &["--memory", "256"]);
+    let ended = place.run("out", &["--memory", "320"]);
     let published = place.published("out");
     published.expect_whole(&["clip-00.mp4", "clip-01.mp4", "large.mp4"]);
     assert_eq!(

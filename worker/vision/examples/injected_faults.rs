@@ -50,10 +50,17 @@ fn clips(half: Half) -> Vec<std::path::PathBuf> {
 }
 
 fn fit() {
-    let sources = measure_injected(&clips(Half::Fit), &[]);
+    let paths: Vec<_> = clips(Half::Fit)
+        .into_iter()
+        .filter(|path| real::is_clean(path))
+        .collect();
+    let sources = measure_injected(&paths, &[]);
     let clean = sources.iter().map(|source| &source.clean.faults);
     let fitted = fit_thresholds(clean, PERCENTILE).unwrap();
     println!("fitted on {} clean clips: {fitted:?}", sources.len());
+    for (name, reason) in real::NOT_CLEAN {
+        println!("not clean, left out: `{name}` ({reason})");
+    }
 }
 
 fn table(every: usize) {

@@ -87,9 +87,12 @@ fn pair_signals(input: &Input<'_>, measured: &mut Measured) {
 }
 
 fn faults(input: &Input<'_>, measured: &mut Measured) {
-    // The prototype's pers does not weigh by drift: no drift is long on this scale.
+    // The prototype's pers does not weigh by drift: no drift is long on this scale. Its gate of vanq and
+    // its freeze rule are those of the evidence.
     let params = FaultParams {
         drift_scale_px: f32::MAX,
+        quiet_scale: 0.15,
+        freeze_needs_motion_around: false,
         ..FaultParams::default()
     };
     let mut stream = FaultStream::new(params).unwrap();
