@@ -1,13 +1,12 @@
 //! `plumbline explain`: one video's absolute assessment, told in a few lines and in files.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Args;
 
 use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
 use super::summary::printable;
-use super::{Failure, exit};
+use super::{Failure, exit, print_text};
 use crate::explain::{self, ExplainOptions, Explained, RunError};
 use crate::progress::say;
 
@@ -46,12 +45,7 @@ pub(super) fn run(args: ExplainArgs) -> Result<u8, Failure> {
         Ok(explained) => {
             tell(&explained);
             if args.json {
-                let out = options.out.display();
-                writeln!(std::io::stdout(), "{}", explained.json).map_err(|error| {
-                    Failure::stopped(format!(
-                        "explain.json cannot be written to standard output ({error}); the results are whole, in {out}"
-                    ))
-                })?;
+                print_text(&explained.json, &options.out)?;
             }
             Ok(if explained.complete() {
                 exit::OK

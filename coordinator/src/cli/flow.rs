@@ -2,7 +2,7 @@
 //! truth. Pixels are those of the pictures as given; nothing is resized.
 
 use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -15,7 +15,7 @@ use plumbline_vision::image::{Plane, Rgb8};
 use plumbline_worker::decode::{DecodeError, DecodeLimits, LimitKind, decode_image};
 use serde_json::{Value, json};
 
-use super::{Failure, exit};
+use super::{Failure, exit, print_json};
 use crate::progress::say;
 use crate::publish::out_dir::OutDir;
 use crate::settings::Settings;
@@ -121,13 +121,7 @@ pub(super) fn run(args: &FlowArgs) -> Result<u8, Failure> {
     );
     if args.json {
         let result = json(args, &params, &flow.flow, &time, accuracy.as_ref());
-        let text = serde_json::to_string_pretty(&result).map_err(Failure::stopped)?;
-        writeln!(std::io::stdout(), "{text}").map_err(|error| {
-            Failure::stopped(format!(
-                "the result cannot be written to standard output ({error}); the flow is whole, in {}",
-                args.out.display()
-            ))
-        })?;
+        print_json(&result, &args.out)?;
     }
     Ok(exit::OK)
 }

@@ -4,11 +4,14 @@ mod explain;
 mod flow;
 mod measuring;
 mod reduce;
+mod reducing;
 mod reference;
 mod sample;
 mod score;
 mod summary;
 
+use std::io::Write;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -89,6 +92,23 @@ fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
         .enable_all()
         .build()
         .map_err(Failure::stopped)
+}
+
+/// Puts a result on standard output; the files in `out` are whole whether or not that succeeds.
+fn print_json(result: &serde_json::Value, out: &Path) -> Result<(), Failure> {
+    print_text(
+        &serde_json::to_string_pretty(result).map_err(Failure::stopped)?,
+        out,
+    )
+}
+
+fn print_text(text: &str, out: &Path) -> Result<(), Failure> {
+    writeln!(std::io::stdout(), "{text}").map_err(|error| {
+        Failure::stopped(format!(
+            "the result cannot be written to standard output ({error}); the results are whole, in {}",
+            out.display()
+        ))
+    })
 }
 
 /// How a command fails: the code and the line that says why.
