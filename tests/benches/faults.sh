@@ -11,6 +11,8 @@ run() { cargo run -q --release -p plumbline-vision --example injected_faults -- 
 
 mkdir -p tests/benches/results
 result=tests/benches/results/faults-$(date +%F).md
+# What was written below the tables stays.
+notes=$(sed -n '/^## What limits it/,$p' "$result" 2>/dev/null || true)
 {
     echo "# Fault detectors on known faults: $(date +%F)"
     echo
@@ -25,5 +27,7 @@ result=tests/benches/results/faults-$(date +%F).md
     run real "$every"
     echo
     run sample
+    echo
+    echo "$notes"
 } >"$result"
 echo "$result"
