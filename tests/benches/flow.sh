@@ -29,6 +29,7 @@ trap 'rm -f "$partial"' EXIT
 } >"$partial"
 # What was noted by hand under "Notes" stays.
 if [ -f "$result" ]; then
+    echo >>"$partial"
     sed -n '/^## Notes/,$p' "$result" >>"$partial"
 fi
 cp "$partial" "$result"

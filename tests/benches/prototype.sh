@@ -53,6 +53,8 @@ done
 
 mkdir -p tests/benches/results
 result=tests/benches/results/prototype-$(date +%F).md
+# What was noted by hand stays.
+notes=$(sed -n '/^## Notes/,$p' "$result" 2>/dev/null || true)
 {
     echo "# A clip at \`standard\` and in the Python prototype: $(date +%F)"
     echo
@@ -90,6 +92,7 @@ print()
 for name, values in ratios.items():
     print(f"- {name} / Plumbline: median {statistics.median(values):.2f}, least {min(values):.2f}, most {max(values):.2f}")
 PYTHON
+    printf '\n%s\n' "$notes"
 } >"$result"
 echo "$result"
 cat "$result"
