@@ -17,7 +17,7 @@ import json
 import os
 
 SIGNALS = ["reproj_px", "aepe_worldscore_px", "piecewise_residual", "appearance_ratio",
-           "layer_acceleration", "interior_shear", "detail_change"]
+           "layer_acceleration_q25", "interior_shear", "detail_change_q25"]
 PAPER = SIGNALS[:2]
 FAMILIES = [SIGNALS[2:4], SIGNALS[4:]]
 KEEP = 0.8
