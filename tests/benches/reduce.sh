@@ -57,6 +57,8 @@ fi
 
 mkdir -p tests/benches/results
 result=tests/benches/results/reduce-$(date +%F).md
+# What was noted by hand stays.
+notes=$(sed -n '/^## Notes/,$p' "$result" 2>/dev/null || true)
 {
     echo "# Reduce, ours, Polars and NumPy: $(date +%F)"
     echo
@@ -78,5 +80,6 @@ result=tests/benches/results/reduce-$(date +%F).md
     echo
     echo "Agreement:"
     sed 's/^/- /' "$work/agreement"
+    printf '\n%s\n' "$notes"
 } >"$result"
 echo "$result"
