@@ -12,6 +12,7 @@ use plumbline_vision::flow::dis::{Dis, DisFrame, DisParams};
 use plumbline_vision::flow::file::{FlowFileError, KnownFlow, MAX_PIXELS, kitti, middlebury};
 use plumbline_vision::flow::{Flow, FlowError};
 use plumbline_vision::image::{Plane, Rgb8};
+use plumbline_vision::signals::median;
 use plumbline_worker::decode::{DecodeError, DecodeLimits, LimitKind, decode_image};
 use serde_json::{Value, json};
 
@@ -239,17 +240,9 @@ fn find(
         dis.flow_into(&frames[0], &frames[1], &mut flow)?;
         times_ms.push(start.elapsed().as_secs_f64() * 1e3);
     }
-    times_ms.sort_by(f64::total_cmp);
-    let at = |index: usize| times_ms.get(index).copied().unwrap_or(f64::INFINITY);
-    let middle = times_ms.len() / 2;
-    let median_ms = if times_ms.len().is_multiple_of(2) {
-        0.5 * (at(middle.saturating_sub(1)) + at(middle))
-    } else {
-        at(middle)
-    };
     let time = PairTime {
-        median_ms,
-        min_ms: at(0),
+        median_ms: median(&mut times_ms).unwrap_or(f64::INFINITY),
+        min_ms: times_ms.iter().copied().fold(f64::INFINITY, f64::min),
     };
     Ok((flow, time))
 }

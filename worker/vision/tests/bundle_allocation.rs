@@ -1,35 +1,12 @@
 //! The adjustment allocates nothing once its workspace has its size: counted at the allocator.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+mod allocations;
 
 use plumbline_vision::slam::bundle::{
     BundleOptions, EdgeObservation, Problem, Scene, Workspace, adjust,
 };
 use plumbline_vision::slam::camera::{Grid, Pinhole};
 use plumbline_vision::slam::se3::Se3;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-struct Counting;
-
-#[expect(unsafe_code, reason = "an allocator is unsafe to write")]
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 // The only test of this binary, so that no other thread allocates meanwhile.
 #[test]
@@ -75,10 +52,10 @@ fn adjustments_after_the_first_allocate_nothing() {
     let options = BundleOptions::default();
     let mut workspace = Workspace::default();
     adjust(&mut scene, &problem, &options, &mut workspace).unwrap();
-    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    let before = allocations::count();
     for _ in 0..2 {
         let report = adjust(&mut scene, &problem, &options, &mut workspace).unwrap();
         assert!(report.cost_after <= report.cost_before || report.iterations > 1);
     }
-    assert_eq!(ALLOCATIONS.load(Ordering::Relaxed), before);
+    assert_eq!(allocations::count(), before);
 }

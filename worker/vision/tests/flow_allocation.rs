@@ -1,33 +1,10 @@
 //! Nothing is allocated per pair once the buffers have their size: counted at the allocator.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+mod allocations;
 
 use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame, DisParams};
 use plumbline_vision::image::Plane;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-struct Counting;
-
-#[expect(unsafe_code, reason = "an allocator is unsafe to write")]
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 // The only test of this binary, so that no other thread allocates meanwhile.
 #[test]
@@ -42,9 +19,9 @@ fn pairs_after_the_first_allocate_nothing() {
         let mut dis = Dis::new(params);
         let mut flow = Flow::default();
         dis.flow_into(&frames[0], &frames[1], &mut flow).unwrap();
-        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        let before = allocations::count();
         dis.flow_into(&frames[1], &frames[2], &mut flow).unwrap();
         dis.flow_into(&frames[2], &frames[0], &mut flow).unwrap();
-        assert_eq!(ALLOCATIONS.load(Ordering::Relaxed), before);
+        assert_eq!(allocations::count(), before);
     }
 }
