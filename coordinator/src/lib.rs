@@ -3,6 +3,7 @@
 pub mod cli;
 pub mod collect;
 pub mod corpus;
+pub mod evaluate;
 pub mod explain;
 pub mod fanout;
 mod heat_maps;

@@ -1,5 +1,6 @@
 //! The command line: what was typed, made usable, handed to the library; results to exit codes.
 
+mod evaluate;
 mod explain;
 mod flow;
 mod measuring;
@@ -44,6 +45,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Score(Box<score::ScoreArgs>),
+    Evaluate(evaluate::EvaluateArgs),
     Explain(explain::ExplainArgs),
     Flow(flow::FlowArgs),
     Reference(reference::ReferenceArgs),
@@ -64,6 +66,7 @@ pub fn main() -> ExitCode {
     plumbline_common::telemetry::init(&cli.log);
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
+        Command::Evaluate(args) => evaluate::run(args),
         Command::Explain(args) => explain::run(args),
         Command::Flow(args) => flow::run(&args),
         Command::Reference(args) => reference::run(args),

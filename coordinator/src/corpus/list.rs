@@ -14,11 +14,11 @@ const VIDEO_COLUMN: &str = "video";
 
 /// One line of a list.
 #[derive(Debug, PartialEq)]
-pub(super) struct Line {
+pub(crate) struct Line {
     /// The video as written.
-    pub(super) video: String,
+    pub(crate) video: String,
     /// The other columns, in their order.
-    pub(super) carried: Map<String, Value>,
+    pub(crate) carried: Map<String, Value>,
 }
 
 /// Whether a path's extension says that it is a list.
@@ -33,7 +33,7 @@ pub(super) fn is_list(path: &Path) -> bool {
 ///
 /// # Errors
 /// [`CorpusError::List`] naming file, line and remedy.
-pub(super) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
+pub(crate) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
     let lines = match extension(path).as_deref() {
         Some("csv") => read_csv(path),
         Some("jsonl") => read_text(path).and_then(|text| parse_jsonl(&text)),

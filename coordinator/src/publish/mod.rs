@@ -36,6 +36,8 @@ use table::Column;
 pub const CORPUS_FILE: &str = "corpus.json";
 /// The name of the report.
 pub const REPORT_FILE: &str = "report.html";
+/// What `evaluate` may have left beside a run: tables that new scores would contradict.
+pub const EVALUATION_FILES: [&str; 2] = ["evaluation.json", "evaluation.md"];
 
 /// Everything that a run publishes.
 #[derive(Debug, Clone, Copy)]
@@ -78,6 +80,9 @@ pub fn publish(
     // Checked before anything is touched: a run whose statistics cannot be told is not published.
     let corpus = corpus::corpus_json(run.corpus)?;
     out.remove(CORPUS_FILE)?;
+    for name in EVALUATION_FILES {
+        out.remove(name)?;
+    }
 
     let also = |format| {
         let mut set = formats.clone();

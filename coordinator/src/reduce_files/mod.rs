@@ -40,6 +40,7 @@ use crate::run::STATE_DIRECTORY;
 pub use error::ReduceFilesError;
 use intake::{Intake, Taken, take_in};
 use output::Completion;
+pub(crate) use parts::files;
 use paths::Paths;
 use places::Places;
 use scoring::Yardsticks;
@@ -176,6 +177,9 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
     let (mut files_written, tally) =
         output::write(&out, &completion, Paths::beside(&files), &options.formats)?;
     out.remove(REPORT_FILE)?;
+    for name in publish::EVALUATION_FILES {
+        out.remove(name)?;
+    }
     for format in Format::ALL {
         out.remove(&format!("costs.{}", format.extension()))?;
     }
