@@ -10,8 +10,6 @@ pub(crate) mod document;
 mod input;
 mod populations;
 pub mod sets;
-#[cfg(test)]
-mod tests;
 
 use std::num::NonZeroU16;
 use std::path::PathBuf;

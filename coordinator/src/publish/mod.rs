@@ -13,6 +13,7 @@ pub mod out_dir;
 pub mod rewards;
 pub mod scores;
 pub mod table;
+pub mod trainer_lists;
 
 #[cfg(test)]
 mod tests;
@@ -31,6 +32,7 @@ use crate::reduce::decision_name;
 use crate::reduce::rewards::Reward;
 use manifests::DECISIONS;
 use table::Column;
+use trainer_lists::TrainerLists;
 
 /// The name of the file that marks a finished run.
 pub const CORPUS_FILE: &str = "corpus.json";
@@ -60,7 +62,7 @@ pub struct Publication<'a> {
 ///
 /// `scores` come in every format of `formats`. Manifests are always JSON Lines and rewards always
 /// Parquet, each with the other beside it where that format is asked for; costs follow `formats`,
-/// as JSON Lines where neither is. An older `corpus.json` goes first, so that an interrupted
+/// as JSON Lines where neither is. Lists for trainers have forms of their own. An older `corpus.json` goes first, so that an interrupted
 /// publication is never taken for a finished one, and tables of an earlier run in formats that
 /// this run does not write go too: they would contradict it.
 ///
@@ -118,6 +120,7 @@ pub fn publish(
         &formats,
         &mut written,
     )?;
+    written.extend(TrainerLists::of(out, run.rows, run.rewards)?.publish(out)?);
     match run.report_html {
         Some(report) => {
             out.put_atomic(REPORT_FILE, report.as_bytes())?;

@@ -3,7 +3,8 @@
 //! The statistics are those of `reduce`, gone through over scratch files (`float_file`) instead of
 //! vectors. Passes over the rows: take in (signals, groups, order), sort if need be, write out. In
 //! between everything works on 8 bytes per row and signal. Memory grows with the number of groups
-//! alone, since each has statistics of its own in `corpus.json`. Same bits for any order of rows, any
+//! alone, since each has statistics of its own in `corpus.json` (and of episodes, where rows have an
+//! `episode_index`). Same bits for any order of rows, any
 //! split into parts, any number of threads.
 
 mod by_group;
@@ -21,6 +22,7 @@ mod sort;
 mod table_file;
 #[cfg(test)]
 mod tests;
+mod trainer_lists;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

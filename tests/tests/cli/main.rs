@@ -13,6 +13,7 @@
     reason = "a test fails by panicking, and says what it could not try"
 )]
 
+mod evaluate;
 mod explain;
 mod faults;
 mod flow;
