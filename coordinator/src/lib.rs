@@ -7,6 +7,7 @@ pub mod evaluate;
 pub mod explain;
 pub mod fanout;
 mod heat_maps;
+pub mod judge;
 mod lease;
 pub mod picture;
 pub mod progress;

@@ -3,6 +3,7 @@
 mod evaluate;
 mod explain;
 mod flow;
+mod judge;
 mod measuring;
 mod reduce;
 mod reducing;
@@ -48,6 +49,7 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     Explain(explain::ExplainArgs),
     Flow(flow::FlowArgs),
+    Judge(Box<judge::JudgeArgs>),
     Reference(reference::ReferenceArgs),
     Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
@@ -69,6 +71,7 @@ pub fn main() -> ExitCode {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Explain(args) => explain::run(args),
         Command::Flow(args) => flow::run(&args),
+        Command::Judge(args) => judge::run(*args),
         Command::Reference(args) => reference::run(args),
         Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),

@@ -6,7 +6,8 @@
 //! them count. Where every frame's place in the dataset is known, also `lerobot/rewards.parquet`, the
 //! side-car with one row per frame: `index`, `episode_index`, `frame_index` as
 //! `lerobot/policies/sarm/compute_rabc_weights.py` writes them, with `reward` (raw) and `weight` (soft),
-//! the column that `StaticWeights` of `lerobot/utils/sample_weighting.py` reads beside `index`. A video
+//! the column that `StaticWeights` reads beside `index` (`lerobot/utils/sample_weighting.py` of LeRobot's
+//! pull request 4222, open in July 2026). A video
 //! has one score, which all of its frames bear: that is a weight. It is no `progress_sparse`, whose
 //! differences in time `rabc.py` weighs by: those of a constant say nothing.
 //!
