@@ -167,8 +167,8 @@ impl JudgeArgs {
         let settings = Settings::load().map_err(Failure::usage)?;
         let mut profile = Profile::new(Rung::Standard);
         profile.limits = settings.decode;
-        let positive = |value: f64| value.is_finite() && value > 0.0;
-        if !positive(self.timeout) || !(self.backoff.is_finite() && self.backoff >= 0.0) {
+        let usable = self.timeout > 0.0 && self.backoff >= 0.0;
+        if !(usable && self.timeout.is_finite() && self.backoff.is_finite()) {
             return Err(Failure::usage(
                 "--timeout must be above 0 and --backoff not below 0",
             ));

@@ -8,7 +8,7 @@ use plumbline_common::row::Status;
 use serde_json::{Map, Value};
 
 use super::{EvaluateError, EvaluateOptions, Unscored};
-use crate::corpus::read_list;
+use crate::corpus::{GroupBy, read_list, read_list_columns};
 use crate::reduce::recipe::{BySignal, Signal};
 use crate::reduce_files;
 
@@ -66,7 +66,7 @@ pub(super) struct Input {
 impl Input {
     pub(super) fn read(options: &EvaluateOptions) -> Result<Self, EvaluateError> {
         let mut input = Self {
-            rows: read_scores(&options.scores)?,
+            rows: read_scores(options)?,
             labels: BTreeMap::new(),
             judgements: 0,
             empty_judgements: 0,
@@ -202,10 +202,24 @@ fn task(
     Ok(rule.group(&video, columns)?)
 }
 
-fn read_scores(source: &Path) -> Result<BTreeMap<String, ScoreRow>, EvaluateError> {
+fn read_scores(options: &EvaluateOptions) -> Result<BTreeMap<String, ScoreRow>, EvaluateError> {
+    let task_column = match &options.task {
+        Some(GroupBy::Column(column)) => Some(column),
+        _ => None,
+    };
+    let named = [
+        task_column,
+        options.real_column.as_ref(),
+        options.population_column.as_ref(),
+    ];
+    let wanted = |column: &str| {
+        ["anomaly", "status", "group", "task"].contains(&column)
+            || Signal::ALL.iter().any(|signal| signal.column() == column)
+            || named.iter().flatten().any(|named| *named == column)
+    };
     let mut rows = BTreeMap::new();
-    for path in reduce_files::files(&[source.to_path_buf()])? {
-        for line in read_list(&path)? {
+    for path in reduce_files::files(std::slice::from_ref(&options.scores))? {
+        for line in read_list_columns(&path, &wanted)? {
             let status = line.carried.get("status").and_then(text);
             let row = ScoreRow {
                 anomaly: line.carried.get("anomaly").and_then(number),

@@ -40,20 +40,14 @@ pub(super) fn added_to(report: &str, evaluation: &Evaluation) -> Option<String> 
 }
 
 fn section(evaluation: &Evaluation) -> String {
-    let body = html! {
+    let section = html! {
         section id="evaluation" {
             h2 { "Evaluation" }
-            (body(evaluation))
+            @if let Some(success) = &evaluation.success { (rates(success)) }
+            @if let Some(populations) = &evaluation.populations { (side_by_side(populations)) }
         }
     };
-    body.into_string()
-}
-
-pub(super) fn body(evaluation: &Evaluation) -> Markup {
-    html! {
-        @if let Some(success) = &evaluation.success { (rates(success)) }
-        @if let Some(populations) = &evaluation.populations { (side_by_side(populations)) }
-    }
+    section.into_string()
 }
 
 fn rates(success: &Success) -> Markup {

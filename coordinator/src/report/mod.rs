@@ -119,16 +119,11 @@ pub fn render(input: &ReportInput<'_>) -> String {
 /// a page of that section alone where there is no report of ours.
 #[must_use]
 pub fn with_evaluation(report: Option<&str>, evaluation: &Evaluation) -> String {
-    report
-        .and_then(|report| evaluation::added_to(report, evaluation))
-        .unwrap_or_else(|| {
-            let section = page::Section {
-                id: "evaluation",
-                title: "Evaluation",
-                body: Some(evaluation::body(evaluation)),
-            };
-            page::assemble(&evaluation.scores, [section])
-        })
+    let added = report.and_then(|report| evaluation::added_to(report, evaluation));
+    added.unwrap_or_else(|| {
+        let bare = page::assemble(&evaluation.scores, []);
+        evaluation::added_to(&bare, evaluation).unwrap_or(bare)
+    })
 }
 
 /// A row that has an anomaly score.

@@ -2,8 +2,10 @@
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
 //! `faults`: known faults in the published rows. `evaluate`, `explain`, `flow`, `heatmaps`, `judge`,
-//! `reference`: the commands and flags of these names. `outlier`: one clip that moves the weights. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
-//! processes. `paper`: the published numbers, recomputed by hand.
+//! `reference`: the commands and flags of these names. `outlier`: one clip that moves the weights.
+//! `trainer_lists`: episodes and shards for trainers. `hostile`: bad videos and bad names. `system`:
+//! permissions, full disks, lost and limited compute processes. `paper`: the published numbers,
+//! recomputed by hand.
 
 #![allow(
     clippy::unwrap_used,
@@ -28,3 +30,4 @@ mod reference;
 mod resume;
 mod sources;
 mod system;
+mod trainer_lists;
