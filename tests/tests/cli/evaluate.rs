@@ -250,6 +250,11 @@ fn table_2_of_the_paper() {
         0.875,
     );
     assert!(text(&place, "out/evaluation.md").contains("| real | 100 | "));
+    // Where there is no report to add to, there is a page of the section alone.
+    let page = text(&place, "out/report.html");
+    assert!(page.contains("Populations by") && page.contains("href=\"#evaluation\""));
+    assert_eq!(evaluate(&place, &words).json(), found);
+    assert_eq!(text(&place, "out/report.html"), page);
     evaluate(
         &place,
         &["scores.jsonl", "--population", "no", "--out", "out"],
