@@ -4,7 +4,7 @@
 //! `POST ENDPOINT/chat/completions` with text and `image_url` parts; the answer is
 //! `choices[0].message.content`, its cost `usage.total_tokens`. 408, 429, 5xx, a broken connection and a
 //! body that is no such answer are tried again after a wait that doubles, or after the `Retry-After` that
-//! the server asks for. Every other status is a refusal. The key is in no message and no log.
+//! the server asks for. Every other status is a refusal; after 401 and 403 nothing more is asked. The key is in no message and no log.
 
 use std::sync::Mutex;
 use std::time::Duration;
@@ -66,7 +66,14 @@ pub struct Spent {
 pub(super) struct Chat {
     options: ChatOptions,
     agent: ureq::Agent,
-    spent: Mutex<Spent>,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    spent: Spent,
+    /// Why the server lets nobody in, once it has said so: no further question would fare better.
+    closed: Option<String>,
 }
 
 /// An attempt that may be made again.
@@ -95,17 +102,17 @@ impl Chat {
         Self {
             agent: config.into(),
             options,
-            spent: Mutex::default(),
+            state: Mutex::default(),
         }
     }
 
     pub(super) fn spent(&self) -> Spent {
-        *self.lock()
+        self.lock().spent
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Spent> {
-        // Two numbers are whole whoever broke down beside them.
-        self.spent
+    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
+        // Numbers are whole whoever broke down beside them.
+        self.state
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner)
     }
@@ -158,9 +165,13 @@ impl Chat {
         body.to_string()
     }
 
-    /// Counts an attempt, unless a limit is reached.
+    /// Counts an attempt, unless a limit is reached or the door is closed.
     fn pay(&self) -> Result<(), Verdict> {
-        let mut spent = self.lock();
+        let mut state = self.lock();
+        if let Some(why) = &state.closed {
+            return Err(Verdict::Refused(format!("not asked, after {why}")));
+        }
+        let spent = &mut state.spent;
         let reached = |limit: Option<u64>, used: u64| limit.is_some_and(|limit| used >= limit);
         if reached(self.options.max_calls, spent.calls) {
             let reason = format!("{} calls were made (--max-calls)", spent.calls);
@@ -213,6 +224,9 @@ impl Chat {
             }
             _ => {
                 let reason = format!("status {status}: {}", said());
+                if matches!(status, 401 | 403) {
+                    self.lock().closed = Some(reason.clone());
+                }
                 return Err(Failed::For(Verdict::Refused(reason)));
             }
         }
@@ -222,7 +236,7 @@ impl Chat {
             .pointer("/usage/total_tokens")
             .and_then(Value::as_u64)
         {
-            self.lock().tokens += tokens;
+            self.lock().spent.tokens += tokens;
         }
         match answer
             .pointer("/choices/0/message/content")

@@ -208,7 +208,7 @@ fn refusals_and_words_that_are_no_judgement_are_told_and_the_key_is_not() {
             .expect_line(&["refused", "status 401", "***"]);
     assert_eq!(
         (statuses(&place), stub.asked().len()),
-        (vec!["refused".to_owned(); 2], 2)
+        (vec!["refused".to_owned(); 2], 1)
     );
     let files = [
         std::fs::read_to_string(place.path("labels.csv")).unwrap(),
