@@ -27,7 +27,7 @@ pub(super) struct JudgeArgs {
     /// File for the labels
     #[arg(long, value_name = "LABELS.csv")]
     out: PathBuf,
-    /// Base address of an OpenAI-compatible server, such as https://api.openai.com/v1
+    /// Base address of an OpenAI-compatible server, such as `https://api.openai.com/v1`
     #[arg(long, value_name = "URL")]
     endpoint: String,
     /// The model's name there

@@ -202,10 +202,11 @@ fn what_may_pass_is_tried_again_and_the_server_says_when() {
 fn refusals_and_words_that_are_no_judgement_are_told_and_the_key_is_not() {
     let place = Place::with_clips(2);
     let stub = StubChat::start(|_, _| Answer::status(401, &format!("no such key: {KEY}")));
-    let ended =
-        judge(&place, &stub, &ONCE)
-            .expect_code(3)
-            .expect_line(&["refused", "status 401", "***"]);
+    // Nobody else is let in after that.
+    let one_by_one = [&ONCE, ["--concurrency", "1"].as_slice()].concat();
+    let ended = judge(&place, &stub, &one_by_one)
+        .expect_code(3)
+        .expect_line(&["refused", "status 401", "***"]);
     assert_eq!(
         (statuses(&place), stub.asked().len()),
         (vec!["refused".to_owned(); 2], 1)
