@@ -12,6 +12,9 @@ use crate::corpus::{GroupBy, read_list, read_list_columns};
 use crate::reduce::recipe::{BySignal, Signal};
 use crate::reduce_files;
 
+/// What a judgement, or an outcome, has to be.
+const WANTED: &str = "give a number from 0 (failure) to 1 (success), 0.5 for half a success";
+
 /// One row of the scores.
 pub(super) struct ScoreRow {
     pub(super) anomaly: Option<f64>,
@@ -92,29 +95,27 @@ impl Input {
                     found.join(", ")
                 )));
             };
-            let share = |value: &Value, column: &str| {
-                number(value)
-                    .filter(|share| (0.0..=1.0).contains(share))
-                    .ok_or_else(|| {
-                        wrong(format!(
-                            "row {}: {column} of {} is {value}; give a number from 0 (failure) to 1 (success), 0.5 for half a success",
-                            index + 1,
-                            line.video
-                        ))
-                    })
+            let judged = |value: &Value, column: &str| {
+                share(value).ok_or_else(|| {
+                    let video = &line.video;
+                    wrong(format!(
+                        "row {}: {column} of {video} is {value}; {WANTED}",
+                        index + 1
+                    ))
+                })
             };
             if text(value).is_none() {
                 self.empty_judgements += 1;
                 continue;
             }
-            let label = share(value, column)?;
+            let label = judged(value, column)?;
             let real = options
                 .real_column
                 .as_ref()
                 .and_then(|column| line.carried.get(column).map(|value| (column, value)))
                 .filter(|(_, value)| text(value).is_some());
             let real = real
-                .map(|(column, value)| share(value, column))
+                .map(|(column, value)| judged(value, column))
                 .transpose()?;
             self.judgements += 1;
             let video = line.video.trim_start_matches("./").to_owned();
@@ -146,20 +147,29 @@ impl Input {
             };
             let mut columns = row.columns.clone();
             columns.extend(labels.columns.clone());
-            let carried = |column: &String| columns.get(column).and_then(number);
             let real = match mean(&labels.real) {
-                None => options.real_column.as_ref().and_then(carried),
+                None => carried_real(video, row, options)?,
                 real => real,
             };
             found.push(Judged {
                 video: video.clone(),
                 anomaly,
                 label,
-                real: real.filter(|share| (0.0..=1.0).contains(share)),
+                real,
                 task: task(video, &columns, options)?,
             });
         }
-        Ok(found)
+        match &options.real_column {
+            Some(column) if !found.is_empty() && found.iter().all(|v| v.real.is_none()) => {
+                Err(EvaluateError::Content {
+                    path: options.scores.display().to_string(),
+                    reason: format!(
+                        "no compared video has a number in the column `{column}`, neither here nor in the labels; name another one with --real"
+                    ),
+                })
+            }
+            _ => Ok(found),
+        }
     }
 
     pub(super) fn without_score(&self) -> Vec<Unscored> {
@@ -182,6 +192,27 @@ impl Input {
         rows.filter(|(video, row)| row.anomaly.is_some() && !self.labels.contains_key(*video))
             .map(|(video, _)| video.clone())
             .collect()
+    }
+}
+
+/// The real outcome as the scores carry it.
+fn carried_real(
+    video: &str,
+    row: &ScoreRow,
+    options: &EvaluateOptions,
+) -> Result<Option<f64>, EvaluateError> {
+    let named = options.real_column.as_ref();
+    let Some((column, value)) = named.and_then(|column| Some((column, row.columns.get(column)?)))
+    else {
+        return Ok(None);
+    };
+    match (text(value), share(value)) {
+        (None, _) => Ok(None),
+        (_, Some(share)) => Ok(Some(share)),
+        (Some(_), None) => Err(EvaluateError::Content {
+            path: options.scores.display().to_string(),
+            reason: format!("{column} of {video} is {value}; {WANTED}"),
+        }),
     }
 }
 
@@ -247,6 +278,11 @@ fn number(value: &Value) -> Option<f64> {
         other => other.as_f64(),
     };
     number.filter(|number: &f64| number.is_finite())
+}
+
+/// A number from 0 to 1.
+fn share(value: &Value) -> Option<f64> {
+    number(value).filter(|share| (0.0..=1.0).contains(share))
 }
 
 fn text(value: &Value) -> Option<String> {

@@ -19,7 +19,6 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::sync::Arc;
@@ -350,8 +349,8 @@ impl ShardKeys {
 }
 
 /// Every file that may be written.
-#[must_use]
-pub fn names() -> BTreeSet<String> {
+#[cfg(test)]
+pub(crate) fn names() -> Vec<String> {
     let lists = DECISIONS.map(|d| format!("lerobot/{}_episodes.json", decision_name(d)));
     let files = [EPISODE_REWARDS, SHARD_KEYS].map(str::to_owned);
     lists.into_iter().chain(files).collect()

@@ -4,8 +4,7 @@
 //! vectors. Passes over the rows: take in (signals, groups, order), sort if need be, write out. In
 //! between everything works on 8 bytes per row and signal. Memory grows with the number of groups
 //! alone, since each has statistics of its own in `corpus.json` (and of episodes, where rows have an
-//! `episode_index`). Same bits for any order of rows, any
-//! split into parts, any number of threads.
+//! `episode_index`). Same bits for any order of rows, any split into parts, any number of threads.
 
 mod by_group;
 mod columns;

@@ -10,6 +10,7 @@ use plumbline_common::row::Decision;
 
 use super::columns::Columns;
 use super::error::ReduceFilesError;
+use super::rows::texts;
 use crate::publish::OutDir;
 use crate::publish::trainer_lists::{
     DATASET_FROM_INDEX, EPISODE_INDEX, KEY, LENGTH, ListedRow, SHARD, TrainerLists, whole_number,
@@ -45,28 +46,20 @@ impl<'a> Lists<'a> {
         if !self.wanted {
             return Ok(());
         }
-        let texts = |column| as_text(scores, column);
         let [episode, from, length] = [
-            texts(EPISODE_INDEX)?,
-            texts(DATASET_FROM_INDEX)?,
-            texts(LENGTH)?,
+            as_text(scores, EPISODE_INDEX)?,
+            as_text(scores, DATASET_FROM_INDEX)?,
+            as_text(scores, LENGTH)?,
         ];
-        let key = text_column(scores, KEY);
-        let shards = SHARD.map(|column| text_column(scores, column));
+        let key = texts(scores, KEY);
+        let shards = SHARD.map(|column| texts(scores, column));
         let frames = scores
             .column_by_name("frames")
             .and_then(|frames| frames.as_primitive_opt::<UInt32Type>());
         for (row, (&decision, anomaly)) in decisions.iter().zip(anomalies).enumerate() {
             let whole = |texts: &Option<Cow<'_, StringArray>>| {
-                let texts = texts.as_ref().filter(|texts| texts.is_valid(row))?;
-                whole_number(texts.value(row))
+                whole_number(text_at(texts.as_deref(), row)?)
             };
-            let text = |texts: Option<&'_ StringArray>| -> Option<String> {
-                texts
-                    .filter(|texts| texts.is_valid(row))
-                    .map(|texts| texts.value(row).to_owned())
-            };
-            let (shard, key) = (shards.iter().find_map(|&texts| text(texts)), text(key));
             let listed = ListedRow {
                 episode_index: whole(&episode),
                 dataset_from_index: whole(&from),
@@ -74,8 +67,8 @@ impl<'a> Lists<'a> {
                 frames: frames
                     .filter(|frames| frames.is_valid(row))
                     .map(|frames| frames.value(row)),
-                shard: shard.as_deref(),
-                key: key.as_deref(),
+                shard: shards.iter().find_map(|&texts| text_at(texts, row)),
+                key: text_at(key, row),
                 reward: anomaly
                     .map(reward)
                     .zip(rewards)
@@ -87,8 +80,9 @@ impl<'a> Lists<'a> {
     }
 }
 
-fn text_column<'a>(batch: &'a RecordBatch, column: &str) -> Option<&'a StringArray> {
-    super::rows::texts(batch, column)
+fn text_at(texts: Option<&StringArray>, row: usize) -> Option<&str> {
+    let texts = texts.filter(|texts| texts.is_valid(row))?;
+    Some(texts.value(row))
 }
 
 /// A column as text, as JSON would write its numbers.
@@ -96,7 +90,7 @@ fn as_text<'a>(
     batch: &'a RecordBatch,
     column: &str,
 ) -> Result<Option<Cow<'a, StringArray>>, ReduceFilesError> {
-    if let Some(texts) = text_column(batch, column) {
+    if let Some(texts) = texts(batch, column) {
         return Ok(Some(Cow::Borrowed(texts)));
     }
     let Some(array) = batch.column_by_name(column) else {

@@ -363,6 +363,11 @@ fn what_cannot_be_evaluated_is_refused_with_the_remedy() {
     );
     refused(
         "video,label\n0/0000,1\n",
+        &["--real", "outcome"],
+        &["no compared video", "`outcome`", "--real"],
+    );
+    refused(
+        "video,label\n0/0000,1\n",
         &["--group-by", "prompt"],
         &["prompt"],
     );

@@ -1,8 +1,9 @@
 //! What parent and child say to each other beside outcomes: requests, and pictures.
 //!
 //! One request, then its answer: an [`Outcome`](plumbline_common::message::Outcome) for `Measure`, a
-//! [`Detailed`](crate::measure::Detailed) for `Detail`, frames or the reason for none for `Frames`, for `Draw` any number of [`Drawn::Picture`] and
-//! one [`Drawn::End`]. Both sides are the same binary, so the form may change with any version.
+//! [`Detailed`](crate::measure::Detailed) for `Detail`, frames or the reason for none for `Frames`, for
+//! `Draw` any number of [`Drawn::Picture`] and one [`Drawn::End`]. Both sides are the same binary, so the
+//! form may change with any version.
 
 use plumbline_common::message::Job;
 use serde::{Deserialize, Serialize};
