@@ -12,6 +12,7 @@ use plumbline_common::message::Job;
 use plumbline_worker::child::{ComputeLimits, ComputeSlot, Drawing, Measured, SlotError};
 use plumbline_worker::explain::{DrawJob, Picture};
 use plumbline_worker::measure::Detailed;
+use plumbline_worker::measure::frames::{FramesJob, SampledFrames};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
@@ -88,6 +89,15 @@ impl Work for DrawJob {
             pictures,
             drawing,
         })
+    }
+}
+
+/// Some frames of a video, or the reason for none.
+impl Work for FramesJob {
+    type Answer = (VideoId, Result<SampledFrames, String>);
+
+    async fn ask(&self, slot: &mut ComputeSlot) -> Result<Self::Answer, SlotError> {
+        Ok((self.job.video.clone(), slot.frames(self).await?))
     }
 }
 

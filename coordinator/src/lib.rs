@@ -3,9 +3,11 @@
 pub mod cli;
 pub mod collect;
 pub mod corpus;
+pub mod evaluate;
 pub mod explain;
 pub mod fanout;
 mod heat_maps;
+pub mod judge;
 mod lease;
 pub mod picture;
 pub mod progress;

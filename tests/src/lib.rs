@@ -16,3 +16,4 @@ pub mod clips;
 pub mod process;
 pub mod published;
 pub mod run;
+pub mod stub_chat;

@@ -1,7 +1,9 @@
 //! The command line: what was typed, made usable, handed to the library; results to exit codes.
 
+mod evaluate;
 mod explain;
 mod flow;
+mod judge;
 mod measuring;
 mod reduce;
 mod reducing;
@@ -44,8 +46,10 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Score(Box<score::ScoreArgs>),
+    Evaluate(evaluate::EvaluateArgs),
     Explain(explain::ExplainArgs),
     Flow(flow::FlowArgs),
+    Judge(Box<judge::JudgeArgs>),
     Reference(reference::ReferenceArgs),
     Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
@@ -64,8 +68,10 @@ pub fn main() -> ExitCode {
     plumbline_common::telemetry::init(&cli.log);
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
+        Command::Evaluate(args) => evaluate::run(args),
         Command::Explain(args) => explain::run(args),
         Command::Flow(args) => flow::run(&args),
+        Command::Judge(args) => judge::run(*args),
         Command::Reference(args) => reference::run(args),
         Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),

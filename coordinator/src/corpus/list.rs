@@ -4,6 +4,7 @@
 use std::fs::File;
 use std::path::Path;
 
+use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::{Map, Value};
 
@@ -14,11 +15,11 @@ const VIDEO_COLUMN: &str = "video";
 
 /// One line of a list.
 #[derive(Debug, PartialEq)]
-pub(super) struct Line {
+pub(crate) struct Line {
     /// The video as written.
-    pub(super) video: String,
+    pub(crate) video: String,
     /// The other columns, in their order.
-    pub(super) carried: Map<String, Value>,
+    pub(crate) carried: Map<String, Value>,
 }
 
 /// Whether a path's extension says that it is a list.
@@ -33,11 +34,23 @@ pub(super) fn is_list(path: &Path) -> bool {
 ///
 /// # Errors
 /// [`CorpusError::List`] naming file, line and remedy.
-pub(super) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
+pub(crate) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
+    read_columns(path, &|_| true)
+}
+
+/// Reads a list with those of its columns that are `wanted`: a table of scores has dozens.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn read_columns(
+    path: &Path,
+    wanted: &dyn Fn(&str) -> bool,
+) -> Result<Vec<Line>, CorpusError> {
+    let wanted = |column: &str| column == VIDEO_COLUMN || wanted(column);
     let lines = match extension(path).as_deref() {
-        Some("csv") => read_csv(path),
-        Some("jsonl") => read_text(path).and_then(|text| parse_jsonl(&text)),
-        Some("parquet") => read_parquet(path),
+        Some("csv") => read_csv(path, &wanted),
+        Some("jsonl") => read_text(path).and_then(|text| parse_jsonl(&text, &wanted)),
+        Some("parquet") => read_parquet(path, &wanted),
         _ => read_text(path).map(|text| parse_txt(&text)),
     };
     lines.map_err(|reason| CorpusError::List {
@@ -69,7 +82,7 @@ fn parse_txt(text: &str) -> Vec<Line> {
         .collect()
 }
 
-fn parse_jsonl(text: &str) -> Result<Vec<Line>, String> {
+fn parse_jsonl(text: &str, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
     let numbered = text
         .lines()
         .enumerate()
@@ -77,14 +90,15 @@ fn parse_jsonl(text: &str) -> Result<Vec<Line>, String> {
     numbered
         .map(|(index, line)| {
             let at = format!("line {}", index + 1);
-            let row: Map<String, Value> = serde_json::from_str(line)
+            let mut row: Map<String, Value> = serde_json::from_str(line)
                 .map_err(|error| format!("{at} is not a JSON object ({error})"))?;
+            row.retain(|column, _| wanted(column));
             split_row(row, &at)
         })
         .collect()
 }
 
-fn read_csv(path: &Path) -> Result<Vec<Line>, String> {
+fn read_csv(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
     let mut reader = csv::Reader::from_path(path).map_err(|error| error.to_string())?;
     let header = reader.headers().map_err(|error| error.to_string())?.clone();
     reader
@@ -96,17 +110,27 @@ fn read_csv(path: &Path) -> Result<Vec<Line>, String> {
                 "" => Value::Null,
                 text => Value::String(text.to_owned()),
             });
-            let row = header.iter().map(str::to_owned).zip(cells).collect();
+            let row = header.iter().zip(cells);
+            let row = row.filter(|(column, _)| wanted(column));
+            let row = row
+                .map(|(column, cell)| (column.to_owned(), cell))
+                .collect();
             split_row(row, &format!("row {}", index + 1))
         })
         .collect()
 }
 
 /// Through Arrow's own JSON writer, so that every column type becomes the JSON value users expect.
-fn read_parquet(path: &Path) -> Result<Vec<Line>, String> {
+fn read_parquet(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
     let file = File::open(path).map_err(|error| error.to_string())?;
     let reader = ParquetRecordBatchReaderBuilder::try_new(file)
-        .and_then(|builder| builder.build())
+        .and_then(|builder| {
+            let fields = builder.schema().fields().iter().enumerate();
+            let roots = fields.filter(|(_, field)| wanted(field.name()));
+            let roots: Vec<usize> = roots.map(|(index, _)| index).collect();
+            let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
+            builder.with_projection(mask).build()
+        })
         .map_err(|error| error.to_string())?;
     let mut json = Vec::new();
     let mut writer = arrow_json::WriterBuilder::new()
@@ -118,7 +142,7 @@ fn read_parquet(path: &Path) -> Result<Vec<Line>, String> {
     }
     writer.finish().map_err(|error| error.to_string())?;
     drop(writer);
-    parse_jsonl(&String::from_utf8_lossy(&json))
+    parse_jsonl(&String::from_utf8_lossy(&json), &|_| true)
 }
 
 fn split_row(mut row: Map<String, Value>, at: &str) -> Result<Line, String> {
@@ -204,6 +228,24 @@ mod tests {
             (lines[0].video.as_str(), &lines[0].carried["seed"]),
             ("a.mp4", &Value::from(7))
         );
+    }
+
+    #[test]
+    fn columns_that_nobody_wants_are_left_out() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, content) in [
+            ("l.csv", "a,video,b\n1,x.mp4,2\n"),
+            ("l.jsonl", "{\"a\":\"1\",\"video\":\"x.mp4\",\"b\":\"2\"}\n"),
+        ] {
+            let path = dir.path().join(name);
+            std::fs::write(&path, content).unwrap();
+            let lines = read_columns(&path, &|column| column == "b").unwrap();
+            let carried = serde_json::to_string(&lines[0].carried).unwrap();
+            assert_eq!(
+                (lines[0].video.as_str(), carried.as_str()),
+                ("x.mp4", r#"{"b":"2"}"#)
+            );
+        }
     }
 
     #[test]

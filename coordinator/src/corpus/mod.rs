@@ -16,6 +16,7 @@ use plumbline_common::message::Location;
 use serde::{Deserialize, Serialize};
 
 pub use group::GroupBy;
+pub(crate) use list::{read as read_list, read_columns as read_list_columns};
 pub use source::{Listing, freeze};
 
 /// One input video as it was when the corpus was frozen.

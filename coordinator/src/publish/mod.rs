@@ -13,6 +13,7 @@ pub mod out_dir;
 pub mod rewards;
 pub mod scores;
 pub mod table;
+pub mod trainer_lists;
 
 #[cfg(test)]
 mod tests;
@@ -31,11 +32,14 @@ use crate::reduce::decision_name;
 use crate::reduce::rewards::Reward;
 use manifests::DECISIONS;
 use table::Column;
+use trainer_lists::TrainerLists;
 
 /// The name of the file that marks a finished run.
 pub const CORPUS_FILE: &str = "corpus.json";
 /// The name of the report.
 pub const REPORT_FILE: &str = "report.html";
+/// What `evaluate` may have left beside a run: tables that new scores would contradict.
+pub const EVALUATION_FILES: [&str; 2] = ["evaluation.json", "evaluation.md"];
 
 /// Everything that a run publishes.
 #[derive(Debug, Clone, Copy)]
@@ -58,7 +62,7 @@ pub struct Publication<'a> {
 ///
 /// `scores` come in every format of `formats`. Manifests are always JSON Lines and rewards always
 /// Parquet, each with the other beside it where that format is asked for; costs follow `formats`,
-/// as JSON Lines where neither is. An older `corpus.json` goes first, so that an interrupted
+/// as JSON Lines where neither is. Lists for trainers have forms of their own. An older `corpus.json` goes first, so that an interrupted
 /// publication is never taken for a finished one, and tables of an earlier run in formats that
 /// this run does not write go too: they would contradict it.
 ///
@@ -78,6 +82,9 @@ pub fn publish(
     // Checked before anything is touched: a run whose statistics cannot be told is not published.
     let corpus = corpus::corpus_json(run.corpus)?;
     out.remove(CORPUS_FILE)?;
+    for name in EVALUATION_FILES {
+        out.remove(name)?;
+    }
 
     let also = |format| {
         let mut set = formats.clone();
@@ -113,6 +120,7 @@ pub fn publish(
         &formats,
         &mut written,
     )?;
+    written.extend(TrainerLists::of(out, run.rows, run.rewards)?.publish(out)?);
     match run.report_html {
         Some(report) => {
             out.put_atomic(REPORT_FILE, report.as_bytes())?;

@@ -1,7 +1,7 @@
 //! `rewards.*`: rewards of the scored videos, for preference and reinforcement learning.
 
 use crate::publish::table::Column;
-use crate::publish::table::Kind::{Float64, Text, UInt64};
+use crate::publish::table::Kind::{Bool, Float64, Text, UInt64};
 use crate::reduce::rewards::Reward;
 
 /// The columns of `rewards.*`.
@@ -15,5 +15,7 @@ pub fn reward_columns() -> Vec<Column<Reward>> {
         Column::field("soft", Float64, |r| r.soft.into()),
         Column::field("group_rank", UInt64, |r| r.group_rank.into()),
         Column::field("group_size", UInt64, |r| r.group_size.into()),
+        // Best of N: what rejection sampling keeps of a prompt's rollouts.
+        Column::field("best_of_group", Bool, |r| (r.group_rank == 1).into()),
     ]
 }

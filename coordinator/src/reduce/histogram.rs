@@ -15,8 +15,14 @@ use super::order::OrderStatistics;
 use super::outcome::Range;
 use super::values::Values;
 
-/// The winsorised range spans these quantiles (design section 8).
+/// The winsorised range spans these quantiles (design section 8), or less: see [`range_of`].
 pub const WINSORISED_QUANTILES: (f64, f64) = (0.005, 0.995);
+
+/// From so many values on, the winsorised range leaves out at least one at either end. The quantiles
+/// alone do so from 201 on; below, they lie between the two outermost values, and a single outlier
+/// still stretches all bins. One of fewer than 20 values is more than 5% of them: too much to call
+/// an outlier.
+pub const WINSORISE_ONE_FROM: u64 = 20;
 
 /// The quantiles behind the Freedman-Diaconis rule.
 pub const QUARTILES: (f64, f64) = (0.25, 0.75);
@@ -132,16 +138,43 @@ impl Edges {
     }
 }
 
-/// The range that a histogram spans; `None` without values.
+/// The range that a histogram spans; `None` without values. The winsorised one goes from the 0.5% to
+/// the 99.5% quantile, and from [`WINSORISE_ONE_FROM`] values on no further than the second value from
+/// either end. `order` holds the two outermost values and [`WINSORISED_QUANTILES`].
 #[must_use]
 pub fn range_of(order: &OrderStatistics, range: Range) -> Option<(f64, f64)> {
-    match range {
-        Range::Full => Some((order.min()?, order.max()?)),
-        Range::Winsorised => Some((
-            order.quantile(WINSORISED_QUANTILES.0)?,
-            order.quantile(WINSORISED_QUANTILES.1)?,
-        )),
+    let find = |q, rank| Some((order.quantile(q)?, order.nth(rank)));
+    range_by(order.n(), range, &find)
+}
+
+/// The same without one copy of `value`, which is among the values.
+#[must_use]
+pub fn range_without(order: &OrderStatistics, range: Range, value: f64) -> Option<(f64, f64)> {
+    let find = |q, rank| {
+        Some((
+            order.quantile_without(q, value)?,
+            order.nth_without(rank, value),
+        ))
+    };
+    range_by(order.n().checked_sub(1)?, range, &find)
+}
+
+/// `find` gives a quantile and the value of a rank, of `n` values.
+fn range_by(
+    n: u64,
+    range: Range,
+    find: &dyn Fn(f64, u64) -> Option<(f64, Option<f64>)>,
+) -> Option<(f64, f64)> {
+    let (low, high) = match range {
+        Range::Full => (0.0, 1.0),
+        Range::Winsorised => WINSORISED_QUANTILES,
+    };
+    let (low, second) = find(low, 1)?;
+    let (high, last_but_one) = find(high, n.saturating_sub(2))?;
+    if range == Range::Full || n < WINSORISE_ONE_FROM {
+        return Some((low, high));
     }
+    Some((low.max(second?), high.min(last_but_one?)))
 }
 
 /// Bins after Freedman and Diaconis (1981): ⌈(max − min) / (2 IQR n^(−1/3))⌉, at least 1 and at
@@ -207,7 +240,7 @@ mod tests {
             let n = values.len() as u64;
             let values: InMemory = values.into_iter().collect();
             let (a, b) = (WINSORISED_QUANTILES, QUARTILES);
-            let Ok(order) = OrderStatistics::find(&values, n, &[a.0, a.1, b.0, b.1], 1);
+            let Ok(order) = OrderStatistics::find(&values, n, &[a.0, a.1, b.0, b.1], 3);
             Self { values, n, order }
         }
 
@@ -305,6 +338,34 @@ mod tests {
         let h = sorted.histogram(bins(10), Range::Winsorised).unwrap();
         // Bins of 99 on [5, 995]; 0–4 go to the first, 995–999 and the outlier to the last.
         assert_eq!(h.counts, [104, 99, 99, 99, 99, 99, 99, 99, 99, 105]);
+    }
+
+    /// However far the outlier lies, and whichever value is left out.
+    #[test]
+    fn from_twenty_values_on_one_at_either_end_is_left_out() {
+        let range = |n: u32, outlier: f64| {
+            let values = (1..n).map(f64::from).chain([outlier]).collect();
+            range_of(&Sample::new(values).order, Range::Winsorised).unwrap()
+        };
+        for outlier in [1e3, 1e300] {
+            assert_eq!(range(20, outlier), (2.0, 19.0));
+            assert_eq!(range(49, outlier), (2.0, 48.0));
+            assert_eq!(range(201, outlier), (2.0, 200.0));
+            assert!(range(19, outlier).1 > 18.5, "19 are too few to tell");
+        }
+        let values: Vec<f64> = (1..49).map(f64::from).chain([1e9]).collect();
+        let whole = Sample::new(values.clone());
+        for &value in &values {
+            let mut rest = values.clone();
+            rest.retain(|&other| other != value);
+            for range in [Range::Full, Range::Winsorised] {
+                assert_eq!(
+                    range_without(&whole.order, range, value),
+                    range_of(&Sample::new(rest.clone()).order, range),
+                    "{range:?} without {value}"
+                );
+            }
+        }
     }
 
     #[test]

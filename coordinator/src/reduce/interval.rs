@@ -18,6 +18,7 @@ use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
+use super::draw::index_below;
 use super::histogram::median_of_sorted;
 use super::outcome::Recipe;
 use super::recipe::{BySignal, Signal, Yardstick, signals_of};
@@ -171,8 +172,7 @@ fn draw_blocks(n: usize, block: usize, rng: &mut impl Rng) -> Vec<usize> {
     let starts = n - block + 1;
     let mut pairs = Vec::with_capacity(n + block);
     while pairs.len() < n {
-        // Multiply-shift: its bias of n/2⁶⁴ is nothing, and it stays the same in every version of rand.
-        let start = ((u128::from(rng.next_u64()) * starts as u128) >> 64) as usize;
+        let start = index_below(starts, rng);
         pairs.extend(start..start + block);
     }
     pairs.truncate(n);

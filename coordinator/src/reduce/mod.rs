@@ -7,7 +7,9 @@
 //! 256-px-high picture; scores have no unit, lower is better. Nothing fails: what cannot be scored
 //! goes to review with its reason, and what a reader must know stands in the warnings.
 
+pub mod auroc;
 pub mod double;
+pub mod draw;
 pub mod histogram;
 pub mod interval;
 pub mod moments;

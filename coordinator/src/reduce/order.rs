@@ -86,6 +86,12 @@ impl OrderStatistics {
         })
     }
 
+    /// How many values there are.
+    #[must_use]
+    pub fn n(&self) -> u64 {
+        self.n
+    }
+
     /// The value at a place that was asked for, counted from 0.
     #[must_use]
     pub fn nth(&self, rank: u64) -> Option<f64> {
@@ -93,7 +99,8 @@ impl OrderStatistics {
     }
 
     /// The same in the order without one copy of `value`, which is in it.
-    fn nth_without(&self, rank: u64, value: f64) -> Option<f64> {
+    #[must_use]
+    pub fn nth_without(&self, rank: u64, value: f64) -> Option<f64> {
         let found = self.nth(rank)?;
         if found < value {
             Some(found)

@@ -23,7 +23,8 @@ pub enum Recipe {
 pub enum Range {
     /// From the smallest to the largest value, as published.
     Full,
-    /// From the 0.5% to the 99.5% quantile; values beyond fall into the outer bins.
+    /// From the 0.5% to the 99.5% quantile, and from 20 values on without at least one at either end;
+    /// values beyond fall into the outer bins.
     Winsorised,
 }
 

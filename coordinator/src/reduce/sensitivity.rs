@@ -7,7 +7,7 @@
 use std::num::NonZeroU16;
 
 use super::double::Double;
-use super::histogram::{Edges, WINSORISED_QUANTILES, freedman_diaconis_bins, range_of};
+use super::histogram::{Edges, freedman_diaconis_bins, range_of, range_without};
 use super::order::OrderStatistics;
 use super::outcome::{FEWEST_ROWS, Range, WeightSensitivity};
 use super::population::{EXTREMES, Surveyed, weighing_entropy, weights_by_column};
@@ -150,18 +150,6 @@ impl<V: Values> Weighed<'_, V> {
         self.entropy(Range::Winsorised, self.bins)
     }
 
-    /// The range without one value.
-    fn range_without(&self, value: f64) -> Option<(f64, f64)> {
-        let (low, high) = match self.range {
-            Range::Full => (0.0, 1.0),
-            Range::Winsorised => WINSORISED_QUANTILES,
-        };
-        Some((
-            self.order.quantile_without(low, value)?,
-            self.order.quantile_without(high, value)?,
-        ))
-    }
-
     /// The entropy with each row left out, the signal being the `k`-th of the paper's.
     fn without_each(&self, left_out: &[Row], k: usize) -> Result<Vec<Option<Double>>, V::Error> {
         let Some((own_edges, own_counts)) = self.own.as_ref().filter(|_| self.tells) else {
@@ -170,7 +158,7 @@ impl<V: Values> Weighed<'_, V> {
         // Few rows change the range, and many of those to the same: each range is counted once.
         let mut ranges: Vec<(f64, f64)> = left_out
             .iter()
-            .filter_map(|row| self.range_without(row.values[k]?))
+            .filter_map(|row| range_without(self.order, self.range, row.values[k]?))
             .filter(|&range| range != own_edges.range())
             .collect();
         ranges.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -192,7 +180,7 @@ impl<V: Values> Weighed<'_, V> {
                 let Some(value) = row.values[k] else {
                     return own_entropy;
                 };
-                let range = self.range_without(value)?;
+                let range = range_without(self.order, self.range, value)?;
                 let (edges, counts) = std::iter::once((own_edges, own_counts))
                     .chain(histograms.clone())
                     .find(|(edges, _)| edges.range() == range)?;

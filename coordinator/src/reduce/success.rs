@@ -4,11 +4,13 @@
 //! its standard error the sample standard deviation (ddof 1) over √n. In percent. Values that are
 //! not finite are refused.
 
+use serde::Serialize;
+
 use super::moments::Moments;
 use super::sum::NotFinite;
 
 /// A rate and how sure it is, percent.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SuccessRate {
     /// Mean.
     pub percent: f64,

@@ -3,8 +3,8 @@
 //! The statistics are those of `reduce`, gone through over scratch files (`float_file`) instead of
 //! vectors. Passes over the rows: take in (signals, groups, order), sort if need be, write out. In
 //! between everything works on 8 bytes per row and signal. Memory grows with the number of groups
-//! alone, since each has statistics of its own in `corpus.json`. Same bits for any order of rows, any
-//! split into parts, any number of threads.
+//! alone, since each has statistics of its own in `corpus.json` (and of episodes, where rows have an
+//! `episode_index`). Same bits for any order of rows, any split into parts, any number of threads.
 
 mod by_group;
 mod columns;
@@ -21,6 +21,7 @@ mod sort;
 mod table_file;
 #[cfg(test)]
 mod tests;
+mod trainer_lists;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -40,6 +41,7 @@ use crate::run::STATE_DIRECTORY;
 pub use error::ReduceFilesError;
 use intake::{Intake, Taken, take_in};
 use output::Completion;
+pub(crate) use parts::files;
 use paths::Paths;
 use places::Places;
 use scoring::Yardsticks;
@@ -176,6 +178,9 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
     let (mut files_written, tally) =
         output::write(&out, &completion, Paths::beside(&files), &options.formats)?;
     out.remove(REPORT_FILE)?;
+    for name in publish::EVALUATION_FILES {
+        out.remove(name)?;
+    }
     for format in Format::ALL {
         out.remove(&format!("costs.{}", format.extension()))?;
     }

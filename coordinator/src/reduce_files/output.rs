@@ -24,10 +24,12 @@ use super::paths::Paths;
 use super::places::{Places, decision};
 use super::rows::{Checked, check, float_at, floats, shape_at};
 use super::scoring::{Signals, Yardsticks};
+use super::trainer_lists::Lists;
 use crate::publish::encode::Format;
 use crate::publish::encode::batches::BatchWriter;
 use crate::publish::manifests::DECISIONS;
 use crate::publish::rewards::reward_columns;
+use crate::publish::trainer_lists::TrainerLists;
 use crate::publish::{OutDir, PublishError};
 use crate::reduce::moments::Standard;
 use crate::reduce::recipe::{BySignal, Signal, signals_of};
@@ -73,7 +75,7 @@ struct Sink {
     of: Part,
 }
 
-/// Writes scores, manifests and rewards; says which files and counts the rows.
+/// Writes scores, manifests, rewards and lists for trainers; says which files and counts the rows.
 pub(super) fn write(
     out: &OutDir,
     completion: &Completion<'_>,
@@ -82,11 +84,11 @@ pub(super) fn write(
 ) -> Result<(Vec<String>, Tally), ReduceFilesError> {
     let tables = Tables::of(completion.columns);
     let (sinks, stale) = tables.sinks(formats);
-    let written = sinks.iter().map(|sink| sink.name.clone()).collect();
+    let mut written: Vec<String> = sinks.iter().map(|sink| sink.name.clone()).collect();
     for name in stale {
         out.remove(&name)?;
     }
-    let tally = std::thread::scope(|scope| {
+    let (tally, lists) = std::thread::scope(|scope| {
         let (senders, writers): (Vec<_>, Vec<_>) = sinks
             .into_iter()
             .map(|sink| {
@@ -94,7 +96,7 @@ pub(super) fn write(
                 (sender, scope.spawn(move || drain(out, &sink, &receiver)))
             })
             .unzip();
-        let completed = completion.complete_all(&tables, paths, &senders);
+        let completed = completion.complete_all(out, &tables, paths, &senders);
         // The writers end when nobody sends any more.
         drop(senders);
         for writer in writers {
@@ -102,6 +104,7 @@ pub(super) fn write(
         }
         completed
     })?;
+    written.extend(lists.publish(out)?);
     Ok((written, tally))
 }
 
@@ -214,17 +217,20 @@ impl Completion<'_> {
     /// Reads all rows, completes them and sends them to every writer.
     fn complete_all(
         &self,
+        out: &OutDir,
         tables: &Tables,
         mut paths: Paths,
         writers: &[SyncSender<Arc<Piece>>],
-    ) -> Result<Tally, ReduceFilesError> {
+    ) -> Result<(Tally, TrainerLists), ReduceFilesError> {
         let names = self.columns.read();
         let mut tally = Tally::default();
+        let mut lists = Lists::of(out, self.columns);
         let mut row = 0;
         let mut send = |batch: RecordBatch, file: &str| -> Result<bool, ReduceFilesError> {
             let rows = batch.num_rows() as u64;
             let paths = paths.of(&batch);
-            let piece = self.complete(tables, check(batch, file)?, row, paths, &mut tally)?;
+            let checked = check(batch, file)?;
+            let piece = self.complete(tables, checked, row, paths, &mut tally, &mut lists)?;
             row += rows;
             let piece = Arc::new(piece);
             // A writer that is gone has failed, and says so itself.
@@ -241,7 +247,7 @@ impl Completion<'_> {
                 if pieces.is_empty() && batch.num_rows() == PIECE_ROWS {
                     // A whole piece as it is; anything else is cut and joined, which copies it.
                     if !send(batch, &table.name)? {
-                        return Ok(tally);
+                        return Ok((tally, lists.lists));
                     }
                     continue;
                 }
@@ -250,7 +256,7 @@ impl Completion<'_> {
                     .map_err(|error| ReduceFilesError::source(&table.name, error))?;
                 while let Some(piece) = pieces.next_completed_batch() {
                     if !send(piece, &table.name)? {
-                        return Ok(tally);
+                        return Ok((tally, lists.lists));
                     }
                 }
             }
@@ -260,11 +266,11 @@ impl Completion<'_> {
             finished.map_err(|error| ReduceFilesError::source("the rows", error))?;
             while let Some(piece) = pieces.next_completed_batch() {
                 if !send(piece, "the rows")? {
-                    return Ok(tally);
+                    return Ok((tally, lists.lists));
                 }
             }
         }
-        Ok(tally)
+        Ok((tally, lists.lists))
     }
 
     fn complete(
@@ -274,6 +280,7 @@ impl Completion<'_> {
         first_row: u64,
         paths: Option<StringArray>,
         tally: &mut Tally,
+        lists: &mut Lists<'_>,
     ) -> Result<Piece, ReduceFilesError> {
         let Checked {
             batch,
@@ -364,6 +371,7 @@ impl Completion<'_> {
             made.rewards(tables, &scores, self.rewards)
                 .map_err(failed)?,
         );
+        lists.note(&scores, &decisions, &made.anomalies, self.rewards)?;
         let mut manifests = Vec::with_capacity(DECISIONS.len());
         for decision in DECISIONS {
             let mask: BooleanArray = decisions.iter().map(|&d| Some(d == decision)).collect();
@@ -478,6 +486,11 @@ impl Made<'_> {
                     places()
                         .map(|p| p.map(|p| p.group_size))
                         .collect::<UInt64Array>(),
+                ),
+                "best_of_group" => Arc::new(
+                    places()
+                        .map(|p| p.map(|p| p.group_rank == 1))
+                        .collect::<BooleanArray>(),
                 ),
                 name => scores
                     .column_by_name(name)

@@ -21,7 +21,7 @@ use crate::publish::table::{CarriedColumn, Column, Seen};
 const TABLES: [&str; 2] = ["scores.parquet", "scores.jsonl"];
 
 /// The files that the sources name: themselves, a run's scores, or all parts in a directory.
-pub(super) fn files(sources: &[PathBuf]) -> Result<Vec<PathBuf>, ReduceFilesError> {
+pub(crate) fn files(sources: &[PathBuf]) -> Result<Vec<PathBuf>, ReduceFilesError> {
     let mut files = Vec::new();
     for source in sources {
         let name = source.display().to_string();

@@ -79,6 +79,7 @@ fn corpus(n: u64, seed: u64) -> Vec<MeasuredVideo> {
             (m.piecewise_residual, m.appearance_ratio) = (value(2), value(3));
             (m.layer_acceleration, m.interior_shear) = (value(4), value(5));
             m.fps = Some(10.0);
+            m.frames = (i % 5 > 0).then_some(3);
             (m.width, m.height) = (Some(64), Some(48));
             m.fault_frames = (i % 3 == 0).then(|| vec![3, i as u32]);
             m.fault_kinds = (i % 3 == 0).then(|| vec!["jump".to_owned(), "flicker".to_owned()]);
@@ -95,6 +96,16 @@ fn corpus(n: u64, seed: u64) -> Vec<MeasuredVideo> {
                 } else {
                     Value::Null
                 },
+            );
+            // What trainers' lists are made of: two cameras per episode, as a CSV list has them.
+            let episode = (i % 11 != 3).then(|| (i / 2).to_string());
+            carried.insert("episode_index".to_owned(), json!(episode));
+            carried.insert("dataset_from_index".to_owned(), json!(i / 2 * 3));
+            carried.insert("length".to_owned(), json!(3.0));
+            carried.insert("shard".to_owned(), json!(format!("{}.tar", i % 4)));
+            carried.insert(
+                "__key__".to_owned(),
+                json!((i % 7 > 0).then(|| format!("k{i}"))),
             );
             MeasuredVideo {
                 video: VideoId::new(format!("dir/v{:05}", i * 7919 % 10_007)).unwrap(),
@@ -220,6 +231,11 @@ fn files_and_memory_agree() {
                     "{name}, {n} rows, {o:?}"
                 );
             }
+            assert_eq!(
+                trainer_lists(&files),
+                trainer_lists(&memory),
+                "{n} rows, {o:?}"
+            );
             // The rows themselves: the same with their path after the group.
             let with_path: Vec<Value> = rows
                 .iter()
@@ -234,6 +250,16 @@ fn files_and_memory_agree() {
     }
 }
 
+/// The lists for trainers that there are.
+fn trainer_lists(out: &Path) -> Vec<(String, Vec<u8>)> {
+    let names = crate::publish::trainer_lists::names().into_iter();
+    let found: Vec<_> = names
+        .filter_map(|name| Some((name.clone(), fs::read(out.join(name)).ok()?)))
+        .collect();
+    assert!(found.len() >= 3, "every corpus has episodes");
+    found
+}
+
 /// Every table of a directory, whatever format, by name.
 fn tables(out: &Path) -> Vec<(String, Vec<u8>)> {
     let mut names: Vec<String> = ["scores", "rewards"].map(str::to_owned).into();
@@ -242,6 +268,7 @@ fn tables(out: &Path) -> Vec<(String, Vec<u8>)> {
         "corpus.json".to_owned(),
         fs::read(out.join("corpus.json")).unwrap(),
     )];
+    found.extend(trainer_lists(out));
     for name in names {
         for format in Format::ALL {
             let name = format!("{name}.{}", format.extension());

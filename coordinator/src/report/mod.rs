@@ -9,6 +9,7 @@
 
 mod axis;
 mod distribution;
+mod evaluation;
 mod faults;
 mod measures;
 mod motion;
@@ -32,6 +33,7 @@ use plumbline_common::id::VideoId;
 use plumbline_common::message::Thumbnails;
 use plumbline_common::row::{Row, Status};
 
+use crate::evaluate::Evaluation;
 use crate::publish::{CorpusFile, CostRow};
 
 /// Videos shown at each end of the ranking unless the caller says otherwise.
@@ -111,6 +113,17 @@ pub fn render(input: &ReportInput<'_>) -> String {
         provenance::section(input),
     ];
     page::assemble(input.title, sections)
+}
+
+/// The report with the section that says how scores and judgements agree, in place of an earlier one;
+/// a page of that section alone where there is no report of ours.
+#[must_use]
+pub fn with_evaluation(report: Option<&str>, evaluation: &Evaluation) -> String {
+    let added = report.and_then(|report| evaluation::added_to(report, evaluation));
+    added.unwrap_or_else(|| {
+        let bare = page::assemble(&evaluation.scores, []);
+        evaluation::added_to(&bare, evaluation).unwrap_or(bare)
+    })
 }
 
 /// A row that has an anomaly score.

@@ -1,9 +1,11 @@
 //! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
-//! `faults`: known faults in the published rows. `flow`, `explain`, `heatmaps`, `reference`: the
-//! commands and flags of these names. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
-//! processes. `paper`: the published numbers, recomputed by hand.
+//! `faults`: known faults in the published rows. `evaluate`, `explain`, `flow`, `heatmaps`, `judge`,
+//! `reference`: the commands and flags of these names. `outlier`: one clip that moves the weights.
+//! `trainer_lists`: episodes and shards for trainers. `hostile`: bad videos and bad names. `system`:
+//! permissions, full disks, lost and limited compute processes. `paper`: the published numbers,
+//! recomputed by hand.
 
 #![allow(
     clippy::unwrap_used,
@@ -13,15 +15,19 @@
     reason = "a test fails by panicking, and says what it could not try"
 )]
 
+mod evaluate;
 mod explain;
 mod faults;
 mod flow;
 mod heatmaps;
 mod hostile;
+mod judge;
 mod main_path;
+mod outlier;
 mod paper;
 mod reduce;
 mod reference;
 mod resume;
 mod sources;
 mod system;
+mod trainer_lists;

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::protocol::{Drawn, Request};
 use crate::explain::{self, Picture};
-use crate::measure::{measure, measure_in_detail};
+use crate::measure::{frames, measure, measure_in_detail};
 
 /// Answers requests until standard input closes.
 ///
@@ -37,6 +37,7 @@ pub fn run(memory_mib: u64) -> anyhow::Result<()> {
         match message::decode(&bytes)? {
             Request::Measure(job) => send(&mut stdout, &measure(&job)?)?,
             Request::Detail(job) => send(&mut stdout, &measure_in_detail(&job, None)?)?,
+            Request::Frames(job) => send(&mut stdout, &frames::sample(&job)?)?,
             Request::Draw(job) => {
                 let mut hand_over =
                     |picture: Picture| Ok(send(&mut stdout, &Drawn::Picture(picture))?);

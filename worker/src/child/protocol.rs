@@ -1,13 +1,15 @@
 //! What parent and child say to each other beside outcomes: requests, and pictures.
 //!
 //! One request, then its answer: an [`Outcome`](plumbline_common::message::Outcome) for `Measure`, a
-//! [`Detailed`](crate::measure::Detailed) for `Detail`, for `Draw` any number of [`Drawn::Picture`] and
-//! one [`Drawn::End`]. Both sides are the same binary, so the form may change with any version.
+//! [`Detailed`](crate::measure::Detailed) for `Detail`, frames or the reason for none for `Frames`, for
+//! `Draw` any number of [`Drawn::Picture`] and one [`Drawn::End`]. Both sides are the same binary, so the
+//! form may change with any version.
 
 use plumbline_common::message::Job;
 use serde::{Deserialize, Serialize};
 
 use crate::explain::{DrawJob, Picture};
+use crate::measure::frames::FramesJob;
 
 /// What a child is asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -18,6 +20,8 @@ pub(super) enum Request {
     Detail(Job),
     /// Pictures of a video.
     Draw(DrawJob),
+    /// Some of its frames.
+    Frames(FramesJob),
 }
 
 /// One message of the answer to [`Request::Draw`].

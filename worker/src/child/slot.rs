@@ -19,6 +19,7 @@ use super::protocol::{Drawn, Request};
 use super::{CHILD_ARGUMENT, MEMORY_ARGUMENT};
 use crate::explain::{DrawJob, Picture};
 use crate::measure::Detailed;
+use crate::measure::frames::{FramesJob, SampledFrames};
 
 /// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
 /// video that kills two children is the cause.
@@ -133,6 +134,18 @@ impl ComputeSlot {
             times_s: Vec::new(),
             faults: FaultSeries::default(),
         }))
+    }
+
+    /// Some frames of one video as JPEG, or the reason for none.
+    ///
+    /// # Errors
+    /// As [`Self::measure`].
+    pub async fn frames(
+        &mut self,
+        job: &FramesJob,
+    ) -> Result<Result<SampledFrames, String>, SlotError> {
+        let (answer, _attempts) = self.ask(&Request::Frames(job.clone())).await?;
+        Ok(answer.and_then(|sampled| sampled))
     }
 
     /// Draws pictures of one video and hands each to `take`, which says whether to go on. Tried once,

@@ -8,6 +8,7 @@
 mod assess;
 mod clip;
 mod fill;
+pub mod frames;
 mod observers;
 mod read;
 mod thumbnail;

@@ -28,17 +28,18 @@ pub(super) fn thumbnails(frame: &Rgb8, error_px: &Plane) -> Result<Thumbnails, I
         INFERNO.eval_continuous(f64::from(share)).as_array()
     });
     Ok(Thumbnails {
-        frame_jpeg: jpeg(&small.data, width)?,
-        heat_jpeg: jpeg(&colours.collect::<Vec<u8>>(), width)?,
+        frame_jpeg: jpeg(&small.data, width, HEIGHT_PX)?,
+        heat_jpeg: jpeg(&colours.collect::<Vec<u8>>(), width, HEIGHT_PX)?,
     })
 }
 
-fn jpeg(rgb: &[u8], width: usize) -> Result<Vec<u8>, ImageError> {
+/// `[height, width, 3]` as JPEG.
+pub(super) fn jpeg(rgb: &[u8], width: usize, height: usize) -> Result<Vec<u8>, ImageError> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode(
         rgb,
         width as u32,
-        HEIGHT_PX as u32,
+        height as u32,
         ExtendedColorType::Rgb8,
     )?;
     Ok(bytes)
