@@ -13,14 +13,20 @@
 //! one fixed order. Poses are `camera_from_world`, lengths are grid cells. Fails with
 //! [`BundleError`]; no result is ever NaN.
 
+mod assemble;
 mod cost;
+mod envelope;
 mod linearise;
 mod options;
+mod parallel;
 mod schur;
 mod solve;
 mod step;
+mod substitute;
 #[cfg(test)]
 mod tests;
+mod tile;
+mod view;
 mod workspace;
 
 use std::ops::Range;
@@ -223,11 +229,9 @@ pub fn normal_equations(
     let mut workspace = Workspace::default();
     workspace.plan(scene, problem);
     linearise::linearise(scene, problem, options, 0.0, &mut workspace);
-    let mut matrix = workspace.matrix.clone();
-    matrix.fill_upper_triangle_with_lower_triangle();
     Ok(NormalEquations {
-        matrix,
-        rhs: workspace.rhs.clone(),
+        matrix: workspace.matrix.to_dense(),
+        rhs: nalgebra::DVector::from_column_slice(&workspace.rhs),
         depth_diagonal: workspace.unpadded(&workspace.depth_diagonal),
         depth_rhs: workspace.unpadded(&workspace.depth_rhs),
         cost: workspace.cost,
@@ -294,6 +298,12 @@ impl Scene {
 }
 
 impl Problem<'_> {
+    /// Position of a frame among the free ones.
+    fn unknown(&self, frame: usize) -> Option<usize> {
+        let is_free = self.free.contains(&frame);
+        is_free.then(|| frame - self.free.start)
+    }
+
     fn validate(&self, scene: &Scene) -> Result<(), BundleError> {
         let (frames, cells) = (scene.poses.len(), scene.grid.cells());
         if self.free.end > frames || self.free.start > self.free.end {

@@ -57,6 +57,9 @@ pub struct BundleOptions {
     pub depth_lm_ratio: f64,
     /// Every weight is multiplied by this.
     pub weight_scale: f64,
+    /// Beyond so many cells a residual counts by its size instead of its square (Huber's kernel);
+    /// `None`: never.
+    pub huber_cells: Option<f64>,
     /// Least relative depth z at which a cell counts.
     pub min_depth: f64,
     /// Leave the first free pose's step out when the depths are computed: a comparison `<= 0` in the
@@ -87,6 +90,7 @@ impl Default for BundleOptions {
             ep: 1e-8,
             depth_lm_ratio: 1.0,
             weight_scale: 1.0,
+            huber_cells: None,
             min_depth: 0.1,
             first_free_pose_quirk: false,
             depth_prior_weight: 0.05,
@@ -112,6 +116,7 @@ impl BundleOptions {
             ep: f64::from(0.1f32),
             depth_lm_ratio: 0.0,
             weight_scale: 0.001,
+            huber_cells: None,
             min_depth: 0.25,
             first_free_pose_quirk: true,
             depth_prior_weight: 0.05,
@@ -141,6 +146,10 @@ impl BundleOptions {
             ("ep", in_range(self.ep, 0.0, 1e9)),
             ("depth_lm_ratio", in_range(self.depth_lm_ratio, 0.0, 1e9)),
             ("weight_scale", in_range(self.weight_scale, 1e-9, 1e9)),
+            (
+                "huber_cells",
+                self.huber_cells.is_none_or(|cells| in_range(cells, 1e-3, 1e6)),
+            ),
             ("min_depth", in_range(self.min_depth, 1e-3, 1e3)),
             (
                 "depth_prior_weight",
