@@ -9,9 +9,9 @@ use super::{Problem, Scene};
 use crate::slam::lanes::LANES;
 use crate::slam::se3::Se3;
 
-/// Cells per block: the coupling of some twenty edges (6 doubles a cell) then stays in the
-/// second-level cache.
-pub(super) const BLOCK: usize = 128;
+/// Cells per block: the coupling of one pair of edges (12 doubles a cell) stays in the first-level
+/// cache, that of some twenty edges in the second.
+pub(super) const BLOCK: usize = 256;
 
 /// Tangent unknowns of a pose.
 pub(super) const DOF: usize = 6;
