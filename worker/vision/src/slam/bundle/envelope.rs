@@ -92,7 +92,11 @@ impl Envelope {
         for (i, row) in self.rows.iter().enumerate() {
             for r in 0..DOF {
                 let values = &self.values[row.range(r, row.first, i + 1)];
-                for (c, value) in values.iter().enumerate().take((i - row.first) * DOF + r + 1) {
+                for (c, value) in values
+                    .iter()
+                    .enumerate()
+                    .take((i - row.first) * DOF + r + 1)
+                {
                     dense[(i * DOF + r, row.first * DOF + c)] = *value;
                 }
             }

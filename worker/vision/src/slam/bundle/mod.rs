@@ -1,7 +1,7 @@
 //! Dense bundle adjustment: camera poses and one inverse depth per cell, from dense targets.
 //!
-//! Minimises Σ w ‖target − reprojection‖² over all edges and cells in front of the camera, plus
-//! w_p (d − d_measured)² where a depth was measured. Gauss-Newton; the depths' block of the normal
+//! Minimises Σ w ρ(target − reprojection) over all edges and cells in front of the camera, plus
+//! w_p (d − d_measured)² where a depth was measured; ρ is the square, or Huber's kernel. Gauss-Newton; the depths' block of the normal
 //! equations is diagonal and is eliminated first (Schur complement), the poses' system is solved by
 //! Cholesky. With C the depths' diagonal, E the coupling, A the poses' block:
 //!
@@ -210,7 +210,7 @@ pub struct NormalEquations {
     pub depth_diagonal: Vec<f64>,
     /// Depth right-hand side, likewise.
     pub depth_rhs: Vec<f64>,
-    /// Σ w ‖r‖² and the prior's cost.
+    /// Σ w ρ(r) and the prior's cost.
     pub cost: f64,
 }
 

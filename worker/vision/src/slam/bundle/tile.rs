@@ -35,8 +35,16 @@ pub(super) fn add_tile(
     let ([l0, l1, l2], [r0, r1, r2]) = (left, right);
     let length = l0.len();
     let whole = length / LANES;
-    let (l0, l1, l2) = (&lanes(l0)[..whole], &lanes(l1)[..whole], &lanes(l2)[..whole]);
-    let (r0, r1, r2) = (&lanes(r0)[..whole], &lanes(r1)[..whole], &lanes(r2)[..whole]);
+    let (l0, l1, l2) = (
+        &lanes(l0)[..whole],
+        &lanes(l1)[..whole],
+        &lanes(l2)[..whole],
+    );
+    let (r0, r1, r2) = (
+        &lanes(r0)[..whole],
+        &lanes(r1)[..whole],
+        &lanes(r2)[..whole],
+    );
     // No bounds checks, no `map`, and no array whose address is taken: the sums stay in registers.
     let [mut s0, mut s1, mut s2] = [[Lanes::ZERO; TILE]; TILE];
     for k in 0..whole {

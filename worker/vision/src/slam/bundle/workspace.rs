@@ -17,7 +17,7 @@ pub(super) const BLOCK: usize = 256;
 pub(super) const DOF: usize = 6;
 
 /// A thread is started for at least so many cells of edges: they take some 0.5 ms, starting it 0.05.
-const CELLS_PER_THREAD: usize = 1 << 15;
+pub(super) const CELLS_PER_THREAD: usize = 1 << 15;
 
 /// Buffers of [`adjust`](super::adjust), and what the last step was.
 #[derive(Debug, Clone, Default)]
@@ -180,11 +180,7 @@ impl Workspace {
     /// The poses of a source and of its targets are all coupled through its depths.
     fn shape_system(&mut self, problem: &Problem<'_>) {
         let poses = problem.free.len();
-        for buffer in [
-            &mut self.pose_diagonal,
-            &mut self.rhs,
-            &mut self.pose_step,
-        ] {
+        for buffer in [&mut self.pose_diagonal, &mut self.rhs, &mut self.pose_step] {
             buffer.clear();
             buffer.resize(poses * DOF, 0.0);
         }
