@@ -1,16 +1,16 @@
 //! Dense bundle adjustment: camera poses and one inverse depth per cell, from dense targets.
 //!
 //! Minimises Σ w ρ(target − reprojection) over all edges and cells in front of the camera, plus
-//! w_p (d − d_measured)² where a depth was measured; ρ is the square, or Huber's kernel. Gauss-Newton; the depths' block of the normal
-//! equations is diagonal and is eliminated first (Schur complement), the poses' system is solved by
-//! Cholesky. With C the depths' diagonal, E the coupling, A the poses' block:
+//! w_p (d − d_measured)² where a depth was measured; ρ is the square, or Huber's kernel. Gauss-Newton;
+//! the depths' block of the normal equations is diagonal and is eliminated first (Schur complement), the
+//! poses' system is solved by Cholesky inside its envelope. With C the depths' diagonal, E the coupling, A the poses' block:
 //!
 //! S = A − E C⁻¹ Eᵀ,  S dx = b − E C⁻¹ w,  dz = C⁻¹ (w − Eᵀ dx).
 //!
 //! One solver with explicit options: [`BundleOptions::worldscore`] reproduces the reference (CUDA
 //! kernels of DROID-SLAM commit 8016d2b) with its quirks; the default is a Levenberg-Marquardt
 //! iteration that accepts no step that raises the cost. Targets and weights are f32, all sums f64, in
-//! one fixed order. Poses are `camera_from_world`, lengths are grid cells. Fails with
+//! one fixed order, on any number of threads ([`Workspace::with_threads`]). Poses are `camera_from_world`, lengths are grid cells. Fails with
 //! [`BundleError`]; no result is ever NaN.
 
 mod assemble;
@@ -150,8 +150,8 @@ pub enum BundleError {
     },
 }
 
-/// Adjusts `scene` in place. `workspace` can be reused: with one problem size nothing is allocated
-/// after the first call.
+/// Adjusts `scene` in place. `workspace` can be reused: with one problem size and one thread nothing is
+/// allocated after the first call.
 ///
 /// # Errors
 /// [`BundleError`]; malformed input leaves the scene as it was.
