@@ -1,13 +1,14 @@
-//! Times one step of the dense bundle adjustment, one thread. Prints one CSV line per case:
-//! `frames,edges,columns,rows,milliseconds,norm of the pose step`; the time is the median over the
+//! Times one step of the dense bundle adjustment. Prints one CSV line per case:
+//! `frames,edges,columns,rows,best,median,norm of the pose step`, times in milliseconds over the
 //! repetitions. `tests/benches/bundle_twin.py` builds the same inputs.
 //!
-//! Options: `--repeat N` (default 5), `--only FRAMESxEDGESxCOLUMNS`.
+//! Options: `--repeat N` (default 5), `--threads N` (default 1), `--only FRAMESxEDGESxCOLUMNS`.
 
 #![expect(clippy::unwrap_used, reason = "a wrong option ends the benchmark")]
 #![expect(clippy::print_stdout, reason = "the result is what it prints")]
 
 use std::hint::black_box;
+use std::num::NonZeroUsize;
 use std::time::Instant;
 
 use plumbline_vision::slam::bundle::{
@@ -35,13 +36,20 @@ fn main() {
         arguments.get(at + 1).cloned()
     };
     let repeat: usize = option("--repeat").map_or(REPEAT, |text| text.parse().unwrap());
+    let threads: NonZeroUsize =
+        option("--threads").map_or(NonZeroUsize::MIN, |text| text.parse().unwrap());
     let only = option("--only");
     for (columns, rows) in GRIDS {
         for (frames, edges) in SIZES {
             let name = format!("{frames}x{edges}x{columns}");
             if only.as_ref().is_none_or(|only| *only == name) {
-                let (ms, norm) = time(frames, edges, Grid { columns, rows }, repeat);
-                println!("{frames},{edges},{columns},{rows},{ms:.4},{norm:.9e}");
+                let mut workspace = Workspace::with_threads(threads);
+                let grid = Grid { columns, rows };
+                let times = time(frames, edges, grid, repeat, &mut workspace);
+                let (best, median) = (times[0], times[times.len() / 2]);
+                let step = workspace.pose_step().iter();
+                let norm = step.map(|x| x * x).sum::<f64>().sqrt();
+                println!("{frames},{edges},{columns},{rows},{best:.4},{median:.4},{norm:.9e}");
             }
         }
     }
@@ -56,7 +64,14 @@ fn ends(frames: usize, count: usize) -> Vec<(usize, usize)> {
         .collect()
 }
 
-fn time(frames: usize, edges: usize, grid: Grid, repeat: usize) -> (f64, f64) {
+/// Milliseconds of each step from the same state, in increasing order.
+fn time(
+    frames: usize,
+    edges: usize,
+    grid: Grid,
+    repeat: usize,
+    workspace: &mut Workspace,
+) -> Vec<f64> {
     let cells = grid.cells();
     let camera = Pinhole {
         fx: grid.columns as f64,
@@ -125,22 +140,15 @@ fn time(frames: usize, edges: usize, grid: Grid, repeat: usize) -> (f64, f64) {
         first_free_pose_quirk: false,
         ..BundleOptions::worldscore_backend()
     };
-    let mut workspace = Workspace::default();
     let mut times = Vec::new();
     for _ in 0..=repeat {
         let mut state = scene.clone();
         let started = Instant::now();
-        adjust(black_box(&mut state), &problem, &options, &mut workspace).unwrap();
+        adjust(black_box(&mut state), &problem, &options, workspace).unwrap();
         times.push(started.elapsed().as_secs_f64() * 1e3);
     }
     // The first call allocates.
     times.remove(0);
     times.sort_by(f64::total_cmp);
-    let norm = workspace
-        .pose_step()
-        .iter()
-        .map(|x| x * x)
-        .sum::<f64>()
-        .sqrt();
-    (times[times.len() / 2], norm)
+    times
 }

@@ -6,7 +6,6 @@ use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame, DisParams};
 use plumbline_vision::image::Plane;
 
-// The only test of this binary, so that no other thread allocates meanwhile.
 #[test]
 fn pairs_after_the_first_allocate_nothing() {
     let picture = |shift: usize| {

@@ -367,8 +367,8 @@ fn the_clean_solver_reaches_a_lower_cost_on_every_scene() {
             (scene, report)
         };
         let (reference, _) = run(case.options);
-        // As many steps, the same weights and the same nearest depth; the reference's quirks, its
-        // absolute damping and its eta are off.
+        // As many steps, the same weights, squares and the same nearest depth; the reference's quirks,
+        // its absolute damping and its eta are off.
         let clean_problem = Problem {
             depth_damping: None,
             ..problem.clone()
@@ -378,6 +378,7 @@ fn the_clean_solver_reaches_a_lower_cost_on_every_scene() {
             weight_scale: case.options.weight_scale,
             min_depth: case.options.min_depth,
             motion_only: case.options.motion_only,
+            huber_cells: None,
             ..BundleOptions::default()
         };
         let mut clean = case.scene.clone();

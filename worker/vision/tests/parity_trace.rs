@@ -6,10 +6,11 @@
 //! to some 1e-5; 1e-3 is allowed, absolute below 1 and relative above.
 //!
 //! `main_18frames` holds cells that come as near as the least depth at which a cell counts, with
-//! residuals of up to 190 cells: one of them counting or not moves poses by 1e-3. Changing the oracle's
-//! corrections by a relative 1e-7 (about one unit in the last place of f32) was seen to change a
-//! keyframe distance by 5% and inverse depths by 0.03. The back end is therefore compared from
-//! the archive's state before each of its runs, besides the score from end to end.
+//! residuals of up to 190 cells: one of them counting or not moves poses by 1e-3. Its score is a matter
+//! of rounding: with the oracle's answers moved at random by at most one unit in the last place of
+//! f32, 59 runs scored 0.283 to 0.390, with 12 or 13 keyframes (the archive: 0.304; we: 0.325);
+//! `oscillating_20frames` moves by less than 1e-7. The back end is therefore compared from the archive's
+//! state before each of its runs, and the score from end to end against that spread.
 
 #![expect(
     clippy::unwrap_used,
@@ -27,6 +28,8 @@ use plumbline_vision::slam::graph::Edge;
 use plumbline_vision::slam::operator::{CorrespondenceOperator, EdgeAnswer, EdgeQuery};
 use plumbline_vision::slam::reference::{ReferenceParams, ReferenceTracker, TrackError};
 use plumbline_vision::slam::se3::Se3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 
 const SIDE: usize = 16;
 const CELLS: usize = SIDE * SIDE;
@@ -39,6 +42,8 @@ struct Oracle {
     /// `[frames, frames, rows, columns, 2]`.
     truth: Vec<f32>,
     frames: usize,
+    /// Moves each answer to a neighbouring f32, or not.
+    nudge: Option<Pcg64>,
 }
 
 impl CorrespondenceOperator for Oracle {
@@ -69,7 +74,13 @@ impl CorrespondenceOperator for Oracle {
                         grid + (query.reprojected[at] - grid).clamp(-MOTION_CLAMP, MOTION_CLAMP);
                     let delta =
                         self.truth[(pair * CELLS + cell) * 2 + axis] + noise[axis] as f32 - seen;
-                    answer.at[at] = query.reprojected[at] + delta;
+                    let exact = query.reprojected[at] + delta;
+                    answer.at[at] = match &mut self.nudge {
+                        None => exact,
+                        Some(random) => {
+                            [exact, exact.next_up(), exact.next_down()][random.random_range(0..3)]
+                        }
+                    };
                     answer.weight[at] = weight[axis] as f32;
                 }
             }
@@ -90,13 +101,19 @@ impl CorrespondenceOperator for Oracle {
     }
 }
 
-fn tracker(archive: &mut Archive, trace: &str) -> (ReferenceTracker<Oracle>, usize) {
+/// The trace's tracker and its number of frames; with a seed, the oracle's answers are nudged.
+fn tracker(
+    archive: &mut Archive,
+    trace: &str,
+    nudge: Option<u64>,
+) -> (ReferenceTracker<Oracle>, usize) {
     let shape = archive.shape(&format!("trace/{trace}/gt_coords"));
     let frames = shape[0];
     let k = archive.f64(&format!("trace/{trace}/intrinsics"));
     let oracle = Oracle {
         truth: archive.f32(&format!("trace/{trace}/gt_coords")),
         frames,
+        nudge: nudge.map(Pcg64::seed_from_u64),
     };
     let camera = Pinhole {
         fx: k[0],
@@ -184,7 +201,7 @@ fn compare_frame(archive: &mut Archive, prefix: &str, tracker: &ReferenceTracker
 /// `score_tolerance` is for the score from end to end.
 fn follow(trace: &str, score_tolerance: f64) {
     let mut archive = Archive::open("droid_trace.npz");
-    let (mut tracker, frames) = tracker(&mut archive, trace);
+    let (mut tracker, frames) = tracker(&mut archive, trace, None);
     let mut largest: f64 = 0.0;
     for frame in 0..frames {
         tracker.push(frame).unwrap();
@@ -260,8 +277,8 @@ fn load_state(archive: &mut Archive, prefix: &str, tracker: &mut ReferenceTracke
 
 #[test]
 fn eighteen_frames() {
-    // Rounding decides here (see above): seen 0.325 for 0.304.
-    follow("main_18frames", 0.05);
+    // Rounding decides here (see above): 0.1 is the spread that rounding alone makes.
+    follow("main_18frames", 0.1);
 }
 
 #[test]
@@ -274,10 +291,39 @@ fn twenty_frames_to_and_fro() {
     follow("oscillating_20frames", TOLERANCE);
 }
 
+/// Scores of a trace whose answers are rounded otherwise; the archive's and our own.
+fn scores_within_rounding(trace: &str, runs: u64) -> (Vec<f64>, f64, f64) {
+    let mut archive = Archive::open("droid_trace.npz");
+    let mut score = |nudge| {
+        let (mut tracker, frames) = tracker(&mut archive, trace, nudge);
+        for frame in 0..frames {
+            tracker.push(frame).unwrap();
+        }
+        tracker.finish().unwrap().mean_cells.unwrap()
+    };
+    let own = score(None);
+    let mut nudged: Vec<f64> = (1..=runs).map(|seed| score(Some(seed))).collect();
+    nudged.sort_by(f64::total_cmp);
+    let expected = archive.f64(&format!("trace/{trace}/final_mean_error"))[0];
+    println!("{trace}: own {own}, archive {expected}, nudged {nudged:?}");
+    (nudged, own, expected)
+}
+
+#[test]
+fn rounding_alone_reaches_the_score_of_eighteen_frames() {
+    let (nudged, own, expected) = scores_within_rounding("main_18frames", 8);
+    for score in [own, expected] {
+        assert!(nudged[0] < score && score < nudged[nudged.len() - 1]);
+    }
+    // The yardstick is not loose by itself: where no cell is at the least depth, nothing moves.
+    let (nudged, own, _) = scores_within_rounding("oscillating_20frames", 2);
+    assert!(nudged.iter().all(|score| (score - own).abs() < 1e-6));
+}
+
 #[test]
 fn what_has_no_score_is_a_typed_error() {
     let mut archive = Archive::open("droid_trace.npz");
-    let (mut tracker, _) = tracker(&mut archive, "short_5frames_never_initialised");
+    let (mut tracker, _) = tracker(&mut archive, "short_5frames_never_initialised", None);
     assert!(matches!(tracker.finish(), Err(TrackError::NoEdges)));
     tracker.push(0).unwrap();
     assert!(matches!(tracker.finish(), Err(TrackError::NoEdges)));
@@ -290,6 +336,7 @@ fn what_has_no_score_is_a_typed_error() {
         Oracle {
             truth: Vec::new(),
             frames: 0,
+            nudge: None,
         },
     );
     let mut small = ReferenceTracker::new(scene.camera, scene.grid, oracle, full);

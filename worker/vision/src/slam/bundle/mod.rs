@@ -1,26 +1,32 @@
 //! Dense bundle adjustment: camera poses and one inverse depth per cell, from dense targets.
 //!
-//! Minimises Σ w ‖target − reprojection‖² over all edges and cells in front of the camera, plus
-//! w_p (d − d_measured)² where a depth was measured. Gauss-Newton; the depths' block of the normal
-//! equations is diagonal and is eliminated first (Schur complement), the poses' system is solved by
-//! Cholesky. With C the depths' diagonal, E the coupling, A the poses' block:
+//! Minimises Σ w ρ(target − reprojection) over all edges and cells in front of the camera, plus
+//! w_p (d − d_measured)² where a depth was measured; ρ is the square, or Huber's kernel. Gauss-Newton;
+//! the depths' block of the normal equations is diagonal and is eliminated first (Schur complement), the
+//! poses' system is solved by Cholesky inside its envelope. With C the depths' diagonal, E the coupling, A the poses' block:
 //!
 //! S = A − E C⁻¹ Eᵀ,  S dx = b − E C⁻¹ w,  dz = C⁻¹ (w − Eᵀ dx).
 //!
 //! One solver with explicit options: [`BundleOptions::worldscore`] reproduces the reference (CUDA
 //! kernels of DROID-SLAM commit 8016d2b) with its quirks; the default is a Levenberg-Marquardt
 //! iteration that accepts no step that raises the cost. Targets and weights are f32, all sums f64, in
-//! one fixed order. Poses are `camera_from_world`, lengths are grid cells. Fails with
+//! one fixed order, on any number of threads ([`Workspace::with_threads`]). Poses are `camera_from_world`, lengths are grid cells. Fails with
 //! [`BundleError`]; no result is ever NaN.
 
+mod assemble;
 mod cost;
+mod envelope;
 mod linearise;
 mod options;
+mod parallel;
 mod schur;
 mod solve;
 mod step;
+mod substitute;
 #[cfg(test)]
 mod tests;
+mod tile;
+mod view;
 mod workspace;
 
 use std::ops::Range;
@@ -144,8 +150,8 @@ pub enum BundleError {
     },
 }
 
-/// Adjusts `scene` in place. `workspace` can be reused: with one problem size nothing is allocated
-/// after the first call.
+/// Adjusts `scene` in place. `workspace` can be reused: with one problem size and one thread nothing is
+/// allocated after the first call.
 ///
 /// # Errors
 /// [`BundleError`]; malformed input leaves the scene as it was.
@@ -204,7 +210,7 @@ pub struct NormalEquations {
     pub depth_diagonal: Vec<f64>,
     /// Depth right-hand side, likewise.
     pub depth_rhs: Vec<f64>,
-    /// Σ w ‖r‖² and the prior's cost.
+    /// Σ w ρ(r) and the prior's cost.
     pub cost: f64,
 }
 
@@ -223,11 +229,9 @@ pub fn normal_equations(
     let mut workspace = Workspace::default();
     workspace.plan(scene, problem);
     linearise::linearise(scene, problem, options, 0.0, &mut workspace);
-    let mut matrix = workspace.matrix.clone();
-    matrix.fill_upper_triangle_with_lower_triangle();
     Ok(NormalEquations {
-        matrix,
-        rhs: workspace.rhs.clone(),
+        matrix: workspace.matrix.to_dense(),
+        rhs: nalgebra::DVector::from_column_slice(&workspace.rhs),
         depth_diagonal: workspace.unpadded(&workspace.depth_diagonal),
         depth_rhs: workspace.unpadded(&workspace.depth_rhs),
         cost: workspace.cost,
@@ -294,6 +298,12 @@ impl Scene {
 }
 
 impl Problem<'_> {
+    /// Position of a frame among the free ones.
+    fn unknown(&self, frame: usize) -> Option<usize> {
+        let is_free = self.free.contains(&frame);
+        is_free.then(|| frame - self.free.start)
+    }
+
     fn validate(&self, scene: &Scene) -> Result<(), BundleError> {
         let (frames, cells) = (scene.poses.len(), scene.grid.cells());
         if self.free.end > frames || self.free.start > self.free.end {

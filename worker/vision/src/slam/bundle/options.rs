@@ -57,6 +57,16 @@ pub struct BundleOptions {
     pub depth_lm_ratio: f64,
     /// Every weight is multiplied by this.
     pub weight_scale: f64,
+    /// Huber's kernel (B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, section 3.3),
+    /// δ in cells: each coordinate's residual r costs r² up to δ and 2 δ |r| − δ² beyond; the normal
+    /// equations use the weight w min(1, δ/|r|). A wrong correspondence then pulls with a bounded
+    /// force, also one that starts to count at `min_depth`. `None`: squares (the reference).
+    ///
+    /// Measured on synthetic scenes (5 frames, median over 12, error of the rotations): with 10% of
+    /// the cells wrong by up to 8 cells and noise of up to 0.1 cells, 0.5 leaves 0.0072 rad, squares
+    /// 0.032; with 30%, 0.017 and 0.049. Without wrong cells it loses nothing up to that noise and 1% at
+    /// noise of up to 0.5 cells, where 0.25 would lose 38%. Steps are more: up to 10 instead of 6.
+    pub huber_cells: Option<f64>,
     /// Least relative depth z at which a cell counts.
     pub min_depth: f64,
     /// Leave the first free pose's step out when the depths are computed: a comparison `<= 0` in the
@@ -87,6 +97,7 @@ impl Default for BundleOptions {
             ep: 1e-8,
             depth_lm_ratio: 1.0,
             weight_scale: 1.0,
+            huber_cells: Some(0.5),
             min_depth: 0.1,
             first_free_pose_quirk: false,
             depth_prior_weight: 0.05,
@@ -112,6 +123,7 @@ impl BundleOptions {
             ep: f64::from(0.1f32),
             depth_lm_ratio: 0.0,
             weight_scale: 0.001,
+            huber_cells: None,
             min_depth: 0.25,
             first_free_pose_quirk: true,
             depth_prior_weight: 0.05,
@@ -141,6 +153,11 @@ impl BundleOptions {
             ("ep", in_range(self.ep, 0.0, 1e9)),
             ("depth_lm_ratio", in_range(self.depth_lm_ratio, 0.0, 1e9)),
             ("weight_scale", in_range(self.weight_scale, 1e-9, 1e9)),
+            (
+                "huber_cells",
+                self.huber_cells
+                    .is_none_or(|cells| in_range(cells, 1e-3, 1e6)),
+            ),
             ("min_depth", in_range(self.min_depth, 1e-3, 1e3)),
             (
                 "depth_prior_weight",

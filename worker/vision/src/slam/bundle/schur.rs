@@ -1,52 +1,79 @@
 //! The elimination of a block of depths: E C⁻¹ Eᵀ and E C⁻¹ w of all edge pairs of one source.
 
-use super::workspace::{BLOCK, DOF};
-use crate::slam::lanes::{LANES, Lanes};
+use nalgebra::Matrix6;
 
-/// Rows and columns of a tile whose sums stay in registers: 9 sums and 6 operands.
-const TILE: usize = 3;
+use super::tile::{TILE, TILES, Tiled, add_tile, position};
+use super::workspace::{BLOCK, DOF, Scratch};
+use crate::slam::lanes::{LANES, Lanes, add_sums};
 
-/// Adds the block's part to `products` (`[edges, edges, 6, 6]`, pairs a ≤ b) and `reduced`
-/// (`[edges, 6]`). `coupling` is `[edges, 6, BLOCK]`, `scaled` scratch. A depth whose diagonal is 0
-/// is not observed: it couples nothing.
-#[expect(clippy::too_many_arguments, reason = "slices of one kernel")]
+/// Position of the pair of edges a ≤ b among those of one source with `edges` edges.
+pub(super) fn pair(edges: usize, a: usize, b: usize) -> usize {
+    a * (2 * edges - a - 1) / 2 + b
+}
+
+/// The product of a pair as a matrix. Of an edge with itself the tile below the diagonal is not summed:
+/// it is the one above, transposed.
+pub(super) fn matrix(product: &Tiled, is_diagonal: bool) -> Matrix6<f64> {
+    Matrix6::from_fn(|row, column| {
+        let is_mirrored = is_diagonal && row >= TILE && column < TILE;
+        let (tile, entry) = if is_mirrored {
+            position(column, row)
+        } else {
+            position(row, column)
+        };
+        product[tile][entry]
+    })
+}
+
+/// Adds a block of cells of one source to `products` (pairs a ≤ b, see [`pair`]) and `reduced`, E C⁻¹ w
+/// of each edge. The scratch holds the coupling. A depth whose diagonal is 0 is not observed: it couples
+/// nothing.
 #[inline(always)]
 pub(super) fn eliminate_block(
-    edges: usize,
-    length: usize,
-    coupling: &[f64],
-    scaled: &mut [f64],
+    scratch: &mut Scratch,
     diagonal: &[f64],
     rhs: &[f64],
-    products: &mut [f64],
-    reduced: &mut [f64],
+    products: &mut [Tiled],
+    reduced: &mut [[f64; DOF]],
 ) {
-    let mut inverse = [0.0; BLOCK];
+    let Scratch {
+        coupling,
+        scaled,
+        inverse,
+    } = scratch;
+    let (edges, length) = (reduced.len(), diagonal.len());
     let mut at = 0;
     while at < length {
-        inverse_diagonal(Lanes::load(diagonal, at)).store(&mut inverse, at);
+        inverse_diagonal(Lanes::load(diagonal, at)).store(inverse, at);
         at += LANES;
     }
     for a in 0..edges {
         let rows = &coupling[a * DOF * BLOCK..(a + 1) * DOF * BLOCK];
-        for k in 0..DOF {
+        let mut sums = [Lanes::ZERO; DOF];
+        for (k, total) in sums.iter_mut().enumerate() {
+            let rows = &rows[k * BLOCK..][..length];
+            let scaled = &mut scaled[k * BLOCK..][..length];
             let mut sum = Lanes::ZERO;
             let mut at = 0;
             while at < length {
-                let value = Lanes::load(rows, k * BLOCK + at) * Lanes::load(&inverse, at);
-                value.store(scaled, k * BLOCK + at);
+                let value = Lanes::load(rows, at) * Lanes::load(inverse, at);
+                value.store(scaled, at);
                 sum = sum + value * Lanes::load(rhs, at);
                 at += LANES;
             }
-            reduced[a * DOF + k] += sum.sum();
+            *total = sum;
         }
+        add_sums(&sums, &mut reduced[a]);
         for b in a..edges {
             let other = &coupling[b * DOF * BLOCK..(b + 1) * DOF * BLOCK];
-            let to = (a * edges + b) * DOF * DOF;
-            let product = &mut products[to..to + DOF * DOF];
-            for row in [0, TILE] {
-                for column in [0, TILE] {
-                    add_tile(length, scaled, other, product, row, column);
+            let product = &mut products[pair(edges, a, b)];
+            for (totals, (row, column)) in product.iter_mut().zip(TILES) {
+                if a < b || row <= column {
+                    add_tile(
+                        [0, 1, 2].map(|k| &scaled[(row + k) * BLOCK..][..length]),
+                        [0, 1, 2].map(|k| &other[(column + k) * BLOCK..][..length]),
+                        totals,
+                    );
                 }
             }
         }
@@ -57,35 +84,4 @@ pub(super) fn eliminate_block(
 #[inline(always)]
 pub(super) fn inverse_diagonal(c: Lanes) -> Lanes {
     (Lanes::splat(1.0) / c).where_positive(c)
-}
-
-#[inline(always)]
-fn add_tile(
-    length: usize,
-    left: &[f64],
-    right: &[f64],
-    product: &mut [f64],
-    row: usize,
-    column: usize,
-) {
-    let mut sums = [[Lanes::ZERO; TILE]; TILE];
-    let left: [&[f64]; TILE] = [0, 1, 2].map(|k| &left[(row + k) * BLOCK..(row + k + 1) * BLOCK]);
-    let right: [&[f64]; TILE] =
-        [0, 1, 2].map(|k| &right[(column + k) * BLOCK..(column + k + 1) * BLOCK]);
-    let mut at = 0;
-    while at < length {
-        let l = left.map(|plane| Lanes::load(plane, at));
-        let r = right.map(|plane| Lanes::load(plane, at));
-        for i in 0..TILE {
-            for j in 0..TILE {
-                sums[i][j] = sums[i][j] + l[i] * r[j];
-            }
-        }
-        at += LANES;
-    }
-    for (i, sums) in sums.iter().enumerate() {
-        for (j, sum) in sums.iter().enumerate() {
-            product[(row + i) * DOF + column + j] += sum.sum();
-        }
-    }
 }

@@ -1,24 +1,29 @@
 //! The buffers of an adjustment, kept between steps and calls.
 
-use nalgebra::{DMatrix, DVector, Matrix6};
+use std::num::NonZeroUsize;
+use std::ops::Range;
 
+use super::envelope::Envelope;
+use super::linearise::SourcePart;
 use super::{Problem, Scene};
 use crate::slam::lanes::LANES;
 use crate::slam::se3::Se3;
 
-/// Cells per block: the coupling of some twenty edges (6 doubles a cell) then stays in the
-/// second-level cache.
-pub(super) const BLOCK: usize = 128;
+/// Cells per block: the coupling of one pair of edges (12 doubles a cell) stays in the first-level
+/// cache, that of some twenty edges in the second.
+pub(super) const BLOCK: usize = 256;
 
 /// Tangent unknowns of a pose.
 pub(super) const DOF: usize = 6;
 
-/// Sums over one edge's cells: upper triangle of the target's Hessian (21), its gradient (6), cost.
-pub(super) const SUMS: usize = 28;
+/// A thread is started for at least so many cells of edges: they take some 0.5 ms, starting it 0.05.
+pub(super) const CELLS_PER_THREAD: usize = 1 << 15;
 
 /// Buffers of [`adjust`](super::adjust), and what the last step was.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Workspace {
+    /// Threads besides the caller's.
+    further_threads: usize,
     pub(super) cells: usize,
     /// `cells`, rounded up to whole lanes.
     pub(super) padded: usize,
@@ -26,32 +31,27 @@ pub struct Workspace {
     pub(super) rays: [Vec<f64>; 2],
     /// Positions of the edges, grouped by source.
     pub(super) order: Vec<usize>,
-    /// Source frame and its range of `order`, in increasing order of frames.
-    pub(super) sources: Vec<(usize, std::ops::Range<usize>)>,
+    /// In increasing order of frames.
+    pub(super) sources: Vec<Source>,
+    /// What each source adds to the system.
+    pub(super) parts: Vec<SourcePart>,
+    /// One for each thread that is worth starting.
+    pub(super) scratch: Vec<Scratch>,
     /// Inverse depths, `[frames, padded]`.
     pub(super) depths: Vec<f64>,
-    /// Of one source's edges: E by the target, `[edges, 6, BLOCK]`; the same times C⁻¹, `[6, BLOCK]`.
-    pub(super) coupling: Vec<f64>,
-    pub(super) scaled: Vec<f64>,
-    /// Of one source's edges: E C⁻¹ Eᵀ, upper triangle of blocks, `[edges, edges, 6, 6]`.
-    pub(super) products: Vec<f64>,
-    /// Of one source's edges: E C⁻¹ w, `[edges, 6]`.
-    pub(super) reduced: Vec<f64>,
-    /// Of one source's edges: what is summed over cells.
-    pub(super) sums: Vec<[f64; SUMS]>,
-    /// Of one source's edges.
-    pub(super) relatives: Vec<Se3>,
-    pub(super) adjoints: Vec<Matrix6<f64>>,
     /// C and w, `[frames, padded]`.
     pub(super) depth_diagonal: Vec<f64>,
     pub(super) depth_rhs: Vec<f64>,
-    /// Lower triangle of S, `[6 P, 6 P]`.
-    pub(super) matrix: DMatrix<f64>,
+    /// First pose that each pose is coupled with through depths.
+    first_coupled: Vec<usize>,
+    /// S, over the free poses.
+    pub(super) matrix: Envelope,
+    /// Damped, then factored.
+    pub(super) factor: Envelope,
     /// diag(A), for damping before the elimination.
-    pub(super) pose_diagonal: DVector<f64>,
-    pub(super) rhs: DVector<f64>,
-    pub(super) factor: Option<DMatrix<f64>>,
-    pub(super) pose_step: DVector<f64>,
+    pub(super) pose_diagonal: Vec<f64>,
+    pub(super) rhs: Vec<f64>,
+    pub(super) pose_step: Vec<f64>,
     /// dz, `[frames, padded]`.
     pub(super) depth_step: Vec<f64>,
     pub(super) candidate_poses: Vec<Se3>,
@@ -60,42 +60,39 @@ pub struct Workspace {
     pub(super) cost: f64,
 }
 
-impl Default for Workspace {
-    fn default() -> Self {
-        Self {
-            cells: 0,
-            padded: 0,
-            rays: [Vec::new(), Vec::new()],
-            order: Vec::new(),
-            sources: Vec::new(),
-            depths: Vec::new(),
-            coupling: Vec::new(),
-            scaled: Vec::new(),
-            products: Vec::new(),
-            reduced: Vec::new(),
-            sums: Vec::new(),
-            relatives: Vec::new(),
-            adjoints: Vec::new(),
-            depth_diagonal: Vec::new(),
-            depth_rhs: Vec::new(),
-            matrix: DMatrix::zeros(0, 0),
-            pose_diagonal: DVector::zeros(0),
-            rhs: DVector::zeros(0),
-            factor: None,
-            pose_step: DVector::zeros(0),
-            depth_step: Vec::new(),
-            candidate_poses: Vec::new(),
-            candidate_depths: Vec::new(),
-            cost: 0.0,
-        }
-    }
+/// A frame whose cells are sought, and where its edges stand in [`Workspace::order`].
+#[derive(Debug, Clone)]
+pub(super) struct Source {
+    pub(super) frame: usize,
+    pub(super) edges: Range<usize>,
+}
+
+/// What one thread needs for one source.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Scratch {
+    /// E by the target, `[edges, 6, BLOCK]`.
+    pub(super) coupling: Vec<f64>,
+    /// One edge's, times C⁻¹, `[6, BLOCK]`.
+    pub(super) scaled: Vec<f64>,
+    /// C⁻¹, `[BLOCK]`.
+    pub(super) inverse: Vec<f64>,
 }
 
 impl Workspace {
+    /// A workspace whose adjustments run on up to so many threads. The results are the same to the
+    /// last bit, whatever the number; starting threads allocates. The default is one thread.
+    #[must_use]
+    pub fn with_threads(threads: NonZeroUsize) -> Self {
+        Self {
+            further_threads: threads.get() - 1,
+            ..Self::default()
+        }
+    }
+
     /// The last step's tangents, `[6 P]` over the free poses.
     #[must_use]
     pub fn pose_step(&self) -> &[f64] {
-        self.pose_step.as_slice()
+        &self.pose_step
     }
 
     /// The last step's changes of inverse depth, `[frames, rows, columns]`.
@@ -125,6 +122,23 @@ impl Workspace {
             self.rays[0].push(inside * x);
             self.rays[1].push(inside * y);
         }
+        self.group_edges(problem);
+        self.size_scratch(problem);
+        for buffer in [
+            &mut self.depth_diagonal,
+            &mut self.depth_rhs,
+            &mut self.depth_step,
+            &mut self.depths,
+        ] {
+            buffer.clear();
+            buffer.resize(frames * self.padded, 0.0);
+        }
+        self.load_depths(scene);
+        self.candidate_poses.clone_from(&scene.poses);
+        self.shape_system(problem);
+    }
+
+    fn group_edges(&mut self, problem: &Problem<'_>) {
         self.order.clear();
         self.order.extend(0..problem.edges.len());
         // Unstable sorts do not allocate; the position makes the order unique.
@@ -132,48 +146,80 @@ impl Workspace {
             .sort_unstable_by_key(|&e| (problem.edges[e].source, e));
         self.sources.clear();
         for (place, &edge) in self.order.iter().enumerate() {
-            let source = problem.edges[edge].source;
+            let frame = problem.edges[edge].source;
             match self.sources.last_mut() {
-                Some((last, range)) if *last == source => range.end = place + 1,
-                _ => self.sources.push((source, place..place + 1)),
+                Some(last) if last.frame == frame => last.edges.end = place + 1,
+                _ => self.sources.push(Source {
+                    frame,
+                    edges: place..place + 1,
+                }),
             }
         }
-        let degree = self.sources.iter().map(|(_, r)| r.len()).max().unwrap_or(0);
-        self.coupling.resize(degree * DOF * BLOCK, 0.0);
-        self.scaled.resize(DOF * BLOCK, 0.0);
-        self.products.resize(degree * degree * DOF * DOF, 0.0);
-        self.reduced.resize(degree * DOF, 0.0);
-        self.sums.resize(degree, [0.0; SUMS]);
-        self.relatives.resize(degree, Se3::IDENTITY);
-        self.adjoints.resize(degree, Matrix6::zeros());
-        for buffer in [
-            &mut self.depth_diagonal,
-            &mut self.depth_rhs,
-            &mut self.depth_step,
-            &mut self.candidate_depths,
-            &mut self.depths,
-        ] {
-            buffer.clear();
-            buffer.resize(frames * self.padded, 0.0);
-        }
-        self.candidate_poses.clear();
-        self.candidate_poses.extend_from_slice(&scene.poses);
-        let unknowns = DOF * problem.free.len();
-        if self.rhs.len() != unknowns {
-            self.matrix = DMatrix::zeros(unknowns, unknowns);
-            self.factor = None;
-            self.pose_diagonal = DVector::zeros(unknowns);
-            self.rhs = DVector::zeros(unknowns);
-            self.pose_step = DVector::zeros(unknowns);
-        }
-        self.load_depths(scene);
     }
 
-    /// Takes the scene's inverse depths over into the padded buffer.
+    fn size_scratch(&mut self, problem: &Problem<'_>) {
+        let degree = self.sources.iter().map(|s| s.edges.len()).max();
+        let edge_cells = problem.edges.len() * self.cells;
+        let threads = 1 + self.further_threads.min(edge_cells / CELLS_PER_THREAD);
+        self.scratch.resize_with(threads, Scratch::default);
+        for scratch in &mut self.scratch {
+            scratch
+                .coupling
+                .resize(degree.unwrap_or(0) * DOF * BLOCK, 0.0);
+            scratch.scaled.resize(DOF * BLOCK, 0.0);
+            scratch.inverse.resize(BLOCK, 0.0);
+        }
+        // Never fewer than before: their buffers are kept.
+        let parts = self.parts.len().max(self.sources.len());
+        self.parts.resize_with(parts, SourcePart::default);
+        for (part, source) in self.parts.iter_mut().zip(&self.sources) {
+            part.resize(source.edges.len());
+        }
+    }
+
+    /// The poses of a source and of its targets are all coupled through its depths.
+    fn shape_system(&mut self, problem: &Problem<'_>) {
+        let poses = problem.free.len();
+        for buffer in [&mut self.pose_diagonal, &mut self.rhs, &mut self.pose_step] {
+            buffer.clear();
+            buffer.resize(poses * DOF, 0.0);
+        }
+        let first = &mut self.first_coupled;
+        first.clear();
+        first.extend(0..poses);
+        for source in &self.sources {
+            let edges = &self.order[source.edges.clone()];
+            let targets = edges.iter().map(|&e| problem.edges[e].target);
+            let coupled = || {
+                let frames = targets.clone().chain([source.frame]);
+                frames.filter_map(|f| problem.unknown(f))
+            };
+            if let Some(least) = coupled().min() {
+                coupled().for_each(|pose| first[pose] = first[pose].min(least));
+            }
+        }
+        self.matrix.shape(first);
+    }
+
+    /// Takes the scene's inverse depths over into the padded buffers.
     pub(super) fn load_depths(&mut self, scene: &Scene) {
         let rows = self.depths.chunks_exact_mut(self.padded);
         for (to, from) in rows.zip(scene.inverse_depths.chunks_exact(self.cells)) {
             to[..self.cells].copy_from_slice(from);
         }
+        self.candidate_depths.clone_from(&self.depths);
     }
+}
+
+/// Joins each source to its item among those of all frames.
+pub(super) fn of_sources<T>(
+    sources: &[Source],
+    mut frames: impl Iterator<Item = T>,
+) -> impl Iterator<Item = (&Source, T)> {
+    let mut next = 0;
+    sources.iter().map_while(move |source| {
+        let item = frames.nth(source.frame - next)?;
+        next = source.frame + 1;
+        Some((source, item))
+    })
 }
