@@ -19,3 +19,4 @@ pub mod sample;
 pub mod settings;
 mod stop;
 pub mod thresholds;
+pub mod watch;

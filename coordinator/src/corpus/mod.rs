@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use group::GroupBy;
 pub use source::{Listing, freeze};
+pub(crate) use source::{empty, looked_at_again};
 
 /// One input video as it was when the corpus was frozen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

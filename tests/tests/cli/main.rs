@@ -1,7 +1,8 @@
 //! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
-//! `faults`: known faults in the published rows. `flow`, `explain`, `heatmaps`, `reference`: the
+//! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `flow`,
+//! `explain`, `heatmaps`, `reference`: the
 //! commands and flags of these names. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
@@ -16,6 +17,7 @@
 mod explain;
 mod faults;
 mod flow;
+mod frozen;
 mod heatmaps;
 mod hostile;
 mod main_path;
