@@ -6,7 +6,7 @@
 #   reference.sh [DATA=../shared/data] [SPLITS=10]
 #
 # DATA holds rollouts/, files named SOURCE__...; ROWS names a finished run over them (default: measured
-# into target/reference, and kept there). Needs python3, without packages.
+# into target/reference, and kept there), BINARY a built program. Needs python3, without packages.
 set -euo pipefail
 export PYTHONDONTWRITEBYTECODE=1
 cd "$(dirname "$0")/../.."
@@ -14,9 +14,9 @@ data=$(realpath "${1:-../shared/data}")
 splits=${2:-10}
 command="tests/benches/reference.sh"
 
-cargo build --release --locked --bin plumbline
 target=${CARGO_TARGET_DIR:-target}
-binary=$target/release/plumbline
+binary=${BINARY:-$target/release/plumbline}
+[ -n "${BINARY:-}" ] || cargo build --release --locked --bin plumbline
 rows=${ROWS:-$target/reference/rows}
 if [ ! -f "$rows/corpus.json" ]; then
     code=0

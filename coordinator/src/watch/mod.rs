@@ -74,7 +74,7 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
         compute_s: 0.0,
     };
     let mut stop = StopSignals::listen();
-    run.to_the_end(watch, first, &mut stop).await?;
+    run.follow(watch, first, &mut stop).await?;
 
     let Watching {
         mut journal,
@@ -139,7 +139,7 @@ struct Watching<'a> {
 
 impl Watching<'_> {
     /// Looks and measures until the watch ends and all that was taken is measured.
-    async fn to_the_end(
+    async fn follow(
         &mut self,
         watch: &WatchOptions,
         first: Vec<Entry>,

@@ -73,9 +73,11 @@ fn one_video_is_scored_as_in_the_corpus_of_the_reference() {
         let mut words = vec!["reduce", "out", "--out", "reduced"];
         words.extend(rest);
         run(&place, &words).expect_code(0);
-        for file in ["corpus.json", "rewards.jsonl", "manifests/keep.jsonl"] {
-            let read = |out: &str| fs::read_to_string(place.path(out).join(file)).ok();
-            assert_eq!(read("reduced"), read("again"), "{file}, {recipe}");
+        // Intervals, which corpus.json counts, are lost with another recipe: they need the frame pairs.
+        let files = ["rewards.jsonl", "manifests/keep.jsonl", "corpus.json"];
+        for file in &files[..if recipe == "paper" { 3 } else { 2 }] {
+            let read = |out: &str| fs::read(place.path(out).join(file)).unwrap();
+            assert!(read("reduced") == read("again"), "{file}, {recipe}");
         }
     }
 }
