@@ -105,7 +105,7 @@ impl Work for FramesJob {
 #[derive(Debug)]
 pub struct Fanout<W: Work> {
     answers: mpsc::Receiver<Result<W::Answer, SlotError>>,
-    _tasks: JoinSet<()>,
+    tasks: JoinSet<()>,
 }
 
 impl<W: Work> Fanout<W> {
@@ -113,16 +113,25 @@ impl<W: Work> Fanout<W> {
     #[must_use]
     pub fn start(jobs: Vec<W>, slots: &Slots) -> Self {
         let count = slots.count.clamp(1, jobs.len().max(1));
-        let (job_sender, job_receiver) = async_channel::bounded::<W>(count * QUEUED_PER_SLOT);
-        let (answer_sender, answers) = mpsc::channel(count * QUEUED_PER_SLOT);
-        let mut tasks = JoinSet::new();
-        tasks.spawn(async move {
+        let (job_sender, mut fanout) = Self::open(count, slots);
+        fanout.tasks.spawn(async move {
             for job in jobs {
                 if job_sender.send(job).await.is_err() {
                     break;
                 }
             }
         });
+        fanout
+    }
+
+    /// Starts `count` slots on whatever is sent; they end when the sender is gone. Must be called inside
+    /// a tokio runtime.
+    #[must_use]
+    pub fn open(count: usize, slots: &Slots) -> (async_channel::Sender<W>, Self) {
+        let count = count.max(1);
+        let (job_sender, job_receiver) = async_channel::bounded::<W>(count * QUEUED_PER_SLOT);
+        let (answer_sender, answers) = mpsc::channel(count * QUEUED_PER_SLOT);
+        let mut tasks = JoinSet::new();
         for _ in 0..count {
             let mut slot = ComputeSlot::new(slots.program.clone(), slots.limits);
             let (job_receiver, answer_sender) = (job_receiver.clone(), answer_sender.clone());
@@ -135,10 +144,7 @@ impl<W: Work> Fanout<W> {
                 }
             });
         }
-        Self {
-            answers,
-            _tasks: tasks,
-        }
+        (job_sender, Self { answers, tasks })
     }
 
     /// The next answer; `None` when every job is done.

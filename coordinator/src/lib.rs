@@ -21,3 +21,4 @@ pub mod sample;
 pub mod settings;
 mod stop;
 pub mod thresholds;
+pub mod watch;

@@ -121,6 +121,14 @@ pub enum RunError {
         /// OUT.
         out: String,
     },
+    /// A watch without a reference: scores would change with every video that arrives.
+    #[error("a watch scores against a frozen reference; give --reference")]
+    NoReference,
+    /// Rows cannot be handed on.
+    #[error(
+        "rows cannot be written to standard output ({0}); what was measured is kept, and is in --out after the next run"
+    )]
+    Output(std::io::Error),
     /// The profile cannot be written down.
     #[error("the profile cannot be encoded: {0}")]
     Profile(serde_json::Error),
@@ -173,22 +181,9 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     tell_ignored(&listing.ignored);
     let entries = listing.entries;
 
-    let out = OutDir::create(&options.out)?;
-    let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
-    let _lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse {
-        out: options.out.display().to_string(),
-    })?;
-    out.sweep_partials()?;
-    out.remove(publish::CORPUS_FILE)?;
-    write_frozen(&state, &entries)?;
-
-    let journal_path = state.root().join("journal");
-    let mut journal = Journal::open(
-        &journal_path,
-        options.resume,
-        &entries,
-        &options.reduce.profile_digest,
-    )?;
+    let workplace = Workplace::take(options)?;
+    write_frozen(&workplace.state, &entries)?;
+    let mut journal = workplace.journal(options, &entries)?;
     let measured_before = journal.len();
     if measured_before > 0 {
         say(&format!(
@@ -202,7 +197,7 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
 
     let (done, total) = (journal.len(), entries.len());
     let (reduced, files) = tokio::select! {
-        finished = finish(options, entries, journal, out) => finished?,
+        finished = finish(options, entries, journal, workplace.out.clone()) => finished?,
         () = stop.recv() => return Err(RunError::Interrupted { done, total }),
     };
     Ok(Finished {
@@ -215,8 +210,43 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     })
 }
 
+/// OUT, held against other runs.
+pub(crate) struct Workplace {
+    pub(crate) out: OutDir,
+    pub(crate) state: OutDir,
+    _lease: Lease,
+}
+
+impl Workplace {
+    /// Takes it, and the mark of a finished run away.
+    pub(crate) fn take(options: &ScoreOptions) -> Result<Self, RunError> {
+        let out = OutDir::create(&options.out)?;
+        let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
+        let lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse {
+            out: options.out.display().to_string(),
+        })?;
+        out.sweep_partials()?;
+        out.remove(publish::CORPUS_FILE)?;
+        Ok(Self {
+            out,
+            state,
+            _lease: lease,
+        })
+    }
+
+    pub(crate) fn journal(
+        &self,
+        options: &ScoreOptions,
+        entries: &[Entry],
+    ) -> Result<Journal, JournalError> {
+        let path = self.state.root().join("journal");
+        let digest = &options.reduce.profile_digest;
+        Journal::open(&path, options.resume, entries, digest)
+    }
+}
+
 /// Reduces what is measured, draws heat maps where asked, and publishes.
-async fn finish(
+pub(crate) async fn finish(
     options: &ScoreOptions,
     entries: Vec<Entry>,
     journal: Journal,
@@ -266,7 +296,7 @@ async fn measure_missing(
     let mut compute_s = 0.0;
     let mut fanout = Fanout::start(jobs, &options.slots);
     loop {
-        let Measured { outcome, attempts } = tokio::select! {
+        let measured = tokio::select! {
             next = fanout.next() => match next {
                 Some(measured) => measured?,
                 None => break,
@@ -277,19 +307,12 @@ async fn measure_missing(
                 return Err(RunError::Interrupted { done: journal.len(), total: entries.len() });
             }
         };
-        let Some(entry) = by_video.get(&outcome.video) else {
+        let Some(entry) = by_video.get(&measured.outcome.video) else {
             continue;
         };
-        progress.advance(outcome.measurement.status == Status::Scored);
-        compute_s += outcome.cost.total_s;
-        journal.append(&Record {
-            location: entry.location.clone(),
-            bytes: entry.bytes,
-            modified_ns: entry.modified_ns,
-            profile_digest: options.reduce.profile_digest.clone(),
-            attempts,
-            outcome,
-        })?;
+        progress.advance(measured.outcome.measurement.status == Status::Scored);
+        compute_s += measured.outcome.cost.total_s;
+        journal.append(&record(entry, measured, options))?;
     }
     progress.finish();
     if journal.len() < total {
@@ -299,6 +322,18 @@ async fn measure_missing(
         });
     }
     Ok(compute_s)
+}
+
+/// What the journal keeps of an entry's measurement.
+pub(crate) fn record(entry: &Entry, measured: Measured, options: &ScoreOptions) -> Record {
+    Record {
+        location: entry.location.clone(),
+        bytes: entry.bytes,
+        modified_ns: entry.modified_ns,
+        profile_digest: options.reduce.profile_digest.clone(),
+        attempts: measured.attempts,
+        outcome: measured.outcome,
+    }
 }
 
 /// The job of an entry; none where the file could not even be looked at.
@@ -333,14 +368,19 @@ fn collected(
             }
             None => unreadable(entry),
         };
-        videos.push(MeasuredVideo {
-            video: entry.video.clone(),
-            group: entry.group.clone(),
-            carried: entry.carried.clone(),
-            measurement,
-        });
+        videos.push(measured_video(entry, measurement));
     }
     Ok((videos, costs))
+}
+
+/// An entry with its measurement.
+pub(crate) fn measured_video(entry: &Entry, measurement: Measurement) -> MeasuredVideo {
+    MeasuredVideo {
+        video: entry.video.clone(),
+        group: entry.group.clone(),
+        carried: entry.carried.clone(),
+        measurement,
+    }
 }
 
 /// The row of an entry that cannot be looked at.
@@ -414,7 +454,7 @@ fn publish_run(
 }
 
 /// The frozen list beside the journal, for a person who asks what a run was about.
-fn write_frozen(state: &OutDir, entries: &[Entry]) -> Result<(), RunError> {
+pub(crate) fn write_frozen(state: &OutDir, entries: &[Entry]) -> Result<(), RunError> {
     state.put_atomic_with(FROZEN_FILE, |writer| {
         for entry in entries {
             serde_json::to_writer(&mut *writer, entry)?;

@@ -11,6 +11,7 @@ mod reference;
 mod sample;
 mod score;
 mod summary;
+mod watching;
 
 use std::io::Write;
 use std::path::Path;

@@ -40,7 +40,7 @@ pub(super) fn run(args: ReduceArgs) -> Result<u8, Failure> {
         out: args.out,
         group_by: args.group_by,
         // The profile's digest is in the rows.
-        reduce: args.reducing.options(String::new()),
+        reduce: args.reducing.options(None)?,
         formats: args.reducing.formats(),
         threads: args.threads.map_or(cores, usize::from),
         budget: Budget::default(),
@@ -60,7 +60,8 @@ pub(super) fn run(args: ReduceArgs) -> Result<u8, Failure> {
             "rows": reduced.rows,
             "statuses": reduced.statistics.statuses,
             "decisions": reduced.statistics.decisions,
-            "weights": reduced.statistics.corpus.weights,
+            "weights": reduced.statistics.weights(),
+            "reference": reduced.statistics.reference,
             "warnings": reduced.statistics.warnings,
         });
         print_json(&summary, &options.out)?;

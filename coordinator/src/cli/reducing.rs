@@ -2,13 +2,18 @@
 
 use std::collections::BTreeSet;
 use std::num::NonZeroU16;
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use plumbline_worker::profile::Profile;
 
+use super::Failure;
 use crate::publish::Format;
 use crate::reduce::ReduceOptions;
 use crate::reduce::outcome::{NormaliseWithin, Range, Recipe};
+use crate::reduce::reference::Reference;
 use crate::reduce::select::KeepRule;
+use crate::reference::file;
 
 /// What was typed.
 #[derive(Debug, Args)]
@@ -28,6 +33,9 @@ pub(super) struct ReducingArgs {
     /// Population behind the z-scores; `group` for groups of different cameras, sizes or frame rates
     #[arg(long, value_enum, default_value = "corpus")]
     normalise_within: NormaliseWithin,
+    /// Statistics to score against in place of the corpus' own: a file that `reference fit` wrote
+    #[arg(long, value_name = "REF.json", conflicts_with_all = ["bins", "range", "normalise_within"])]
+    reference: Option<PathBuf>,
     /// Formats of the tables
     #[arg(
         long,
@@ -46,16 +54,22 @@ enum FormatArg {
 }
 
 impl ReducingArgs {
-    /// How rows that a profile of this digest measured are reduced.
-    pub(super) fn options(&self, profile_digest: String) -> ReduceOptions {
-        ReduceOptions {
+    /// How rows are reduced that a profile measures, or (`None`) that exist and say so themselves.
+    pub(super) fn options(&self, profile: Option<&Profile>) -> Result<ReduceOptions, Failure> {
+        let load = |path: &PathBuf| file::load(path, self.recipe, profile);
+        let reference = self.reference.as_ref().map(load).transpose();
+        let reference = reference.map_err(Failure::usage)?;
+        let frozen = reference.as_deref().map(Reference::frozen);
+        let digest = profile.map(Profile::digest).transpose();
+        Ok(ReduceOptions {
             recipe: self.recipe,
-            bins: self.bins,
-            range: self.range,
+            bins: frozen.map_or(self.bins, |frozen| frozen.bins),
+            range: frozen.map_or(self.range, |frozen| frozen.range),
             keep: self.keep,
-            profile_digest,
+            profile_digest: digest.map_err(Failure::usage)?.unwrap_or_default(),
             normalise_within: self.normalise_within,
-        }
+            reference,
+        })
     }
 
     pub(super) fn formats(&self) -> BTreeSet<Format> {

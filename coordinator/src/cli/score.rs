@@ -6,9 +6,11 @@ use clap::Args;
 
 use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
 use super::reducing::ReducingArgs;
+use super::watching::WatchingArgs;
 use super::{Failure, exit, print_json, summary};
 use crate::corpus::GroupBy;
 use crate::run::{self, RunError, ScoreOptions};
+use crate::watch;
 
 /// Scores every video of a source: scores, manifests, rewards and a report
 #[derive(Debug, Args)]
@@ -40,22 +42,30 @@ pub(super) struct ScoreArgs {
     /// Take over what an earlier run into --out has measured (the default)
     #[arg(long)]
     resume: bool,
-    /// Print the summary as JSON on standard output
+    #[command(flatten)]
+    watching: WatchingArgs,
+    /// Print the summary as JSON on standard output; with --watch, each row as a line when it is final
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
     let json = args.json;
+    let watch = args.watching.usable(json)?;
     let options = args.into_options()?;
     let runtime = super::runtime()?;
-    let finished = runtime.block_on(run::score(&options));
+    let finished = runtime.block_on(async {
+        match &watch {
+            Some(watch) => watch::watch(&options, watch).await,
+            None => run::score(&options).await,
+        }
+    });
     // Children are ended by dropping their handles, which needs the runtime no longer.
     runtime.shutdown_background();
     match finished {
         Ok(finished) => {
             summary::table(&finished);
-            if json {
+            if json && watch.is_none() {
                 print_json(&summary::json(&finished), &finished.out)?;
             }
             Ok(if finished.complete() {
@@ -82,13 +92,13 @@ impl ScoreArgs {
     fn into_options(self) -> Result<ScoreOptions, Failure> {
         let Measuring { mut profile, slots } = self.measuring.usable(self.jobs)?;
         let fault_calibration = self.thresholds.apply(&mut profile)?;
-        let profile_digest = profile.digest().map_err(Failure::usage)?;
+        let reduce = self.reducing.options(Some(&profile))?;
         Ok(ScoreOptions {
             sources: self.sources,
             out: self.out,
             group_by: self.group_by,
             profile,
-            reduce: self.reducing.options(profile_digest),
+            reduce,
             resume: !self.no_resume,
             formats: self.reducing.formats(),
             fault_calibration,

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 pub use group::GroupBy;
 pub(crate) use list::{read as read_list, read_columns as read_list_columns};
 pub use source::{Listing, freeze};
+pub(crate) use source::{empty, looked_at_again};
 
 /// One input video as it was when the corpus was frozen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -83,10 +83,7 @@ pub fn freeze(
         add(&mut named, name, found, Map::new())?;
     }
     if named.is_empty() {
-        return Err(CorpusError::Empty {
-            sources: sources.join(", "),
-            extensions: VIDEO_EXTENSIONS.join(", "),
-        });
+        return Err(empty(sources));
     }
     let mut entries: Vec<Entry> = named.into_values().collect();
     if let Some(rule) = group_by {
@@ -95,6 +92,26 @@ pub fn freeze(
         }
     }
     Ok(Listing { entries, ignored })
+}
+
+/// What is said of sources without a video.
+pub(crate) fn empty(sources: &[String]) -> CorpusError {
+    CorpusError::Empty {
+        sources: sources.join(", "),
+        extensions: VIDEO_EXTENSIONS.join(", "),
+    }
+}
+
+/// The entry as it is now.
+pub(crate) fn looked_at_again(entry: &Entry) -> Entry {
+    let found = Found {
+        path: entry.path(),
+        is_sequence: matches!(entry.location, Location::ImageSequence(_)),
+    };
+    Entry {
+        group: entry.group.clone(),
+        ..stat(entry.video.clone(), found, entry.carried.clone())
+    }
 }
 
 fn absolute(path: &Path) -> PathBuf {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::publish::error::PublishError;
+use crate::reduce::drift::Drift;
 use crate::reduce::outcome::{CorpusStatistics, Population, SignalStatistics};
 use crate::thresholds::FaultCalibration;
 
@@ -64,6 +65,16 @@ fn first_not_finite(statistics: &CorpusStatistics) -> Option<String> {
     for (name, population) in corpus.chain(groups) {
         if let Some(field) = in_population(population) {
             return Some(format!("{name}.{field}"));
+        }
+    }
+    if let Some(reference) = &statistics.reference {
+        let numbers = |d: &Drift| [d.psi, d.psi_by_chance, d.ks, d.ks_p].into_iter().flatten();
+        let all = reference.drift.values().flat_map(numbers);
+        if all
+            .chain(reference.weights.values().copied())
+            .any(|value| !value.is_finite())
+        {
+            return Some("reference".to_owned());
         }
     }
     let sensitivity = statistics.sensitivity.as_ref()?;

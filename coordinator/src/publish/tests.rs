@@ -314,6 +314,7 @@ fn corpus() -> CorpusFile {
             corpus: population.clone(),
             groups: BTreeMap::from([("kitchen".to_owned(), population)]),
             sensitivity: None,
+            reference: None,
             warnings: Vec::new(),
         },
     }

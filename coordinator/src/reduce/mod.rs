@@ -6,10 +6,15 @@
 //! order of the input, since rows are sorted first and sums are exact. Pixel errors in px of a
 //! 256-px-high picture; scores have no unit, lower is better. Nothing fails: what cannot be scored
 //! goes to review with its reason, and what a reader must know stands in the warnings.
+//!
+//! With a frozen reference, rows are scored against that instead, each by itself ([`score_final`]);
+//! ranks, and keep rules by number or share, are still of the corpus.
 
 pub mod auroc;
+pub mod distribution;
 pub mod double;
 pub mod draw;
+pub mod drift;
 pub mod histogram;
 pub mod interval;
 pub mod moments;
@@ -18,6 +23,7 @@ pub mod order;
 pub mod outcome;
 pub mod population;
 pub mod recipe;
+pub mod reference;
 pub mod reject;
 pub mod rewards;
 pub mod select;
@@ -36,6 +42,7 @@ pub mod weights;
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU16;
+use std::sync::Arc;
 
 use plumbline_common::id::VideoId;
 use plumbline_common::row::{Decision, Measurement, Row, Status};
@@ -44,9 +51,10 @@ use serde_json::{Map, Value};
 use interval::{IntervalParams, anomaly_interval};
 use outcome::{CorpusStatistics, NormaliseWithin, Range, Recipe};
 use population::{Surveyed, survey};
-use recipe::{BySignal, PAPER, Signal, signals_of};
-use rewards::{Reward, Scored, reward};
-use select::{Candidate, KeepRule, Selected, select};
+use recipe::{BySignal, PAPER, Signal, Yardstick, signals_of};
+use reference::Reference;
+use rewards::{Reward, Scored, Spread, reward};
+use select::{Candidate, KeepRule, Place, Selected, Standing, select};
 use sensitivity::sensitivity;
 use tally::{Cuts, Facts, Tally};
 
@@ -68,6 +76,31 @@ pub struct ReduceOptions {
     pub profile_digest: String,
     /// Which population a row is scored against (rows without a group: always the corpus).
     pub normalise_within: NormaliseWithin,
+    /// What rows are scored against instead of their population; bins and range are then its own.
+    pub reference: Option<Arc<Reference>>,
+}
+
+impl ReduceOptions {
+    /// What a row is measured with, where its own population would be `population`.
+    pub(crate) fn yardstick<'a>(&'a self, population: &'a Yardstick) -> &'a Yardstick {
+        self.reference
+            .as_deref()
+            .map_or(population, Reference::yardstick)
+    }
+
+    /// Where a score stands: in the reference, or else in the corpus.
+    pub(crate) fn standing(&self, place: &Place, anomaly: f64) -> Standing {
+        let reference = self.reference.as_deref();
+        reference
+            .and_then(|reference| reference.standing(self.recipe, anomaly))
+            .unwrap_or_else(|| place.standing())
+    }
+
+    /// What soft rewards are relative to, where that is not the corpus.
+    pub(crate) fn reward_spread(&self) -> Option<Spread> {
+        let scores = self.reference.as_deref()?.scores(self.recipe)?;
+        Some(scores.rewards())
+    }
 }
 
 /// One video's measurement, with what the source says of it.
@@ -112,6 +145,7 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
     let groups = survey_groups(&scored, options);
     let left_out: Vec<sensitivity::Row> = scored
         .iter()
+        .filter(|_| options.reference.is_none())
         .map(|video| (video, PAPER.map(|signal| signal.of(&video.measurement))))
         .filter(|(_, values)| sensitivity::is_left_out(&corpus, values))
         .map(|(video, values)| sensitivity::Row {
@@ -119,7 +153,14 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
             values,
         })
         .collect();
-    let Ok(fragility) = sensitivity(&corpus, &values, &left_out, options.bins, options.range);
+    let fragility = match options.reference {
+        // Its weights do not depend on these rows.
+        Some(_) => None,
+        None => {
+            let Ok(found) = sensitivity(&corpus, &values, &left_out, options.bins, options.range);
+            found
+        }
+    };
 
     let mut rows: Vec<Row> = videos
         .into_iter()
@@ -128,11 +169,17 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
                 .group
                 .as_ref()
                 .filter(|_| options.normalise_within == NormaliseWithin::Group);
-            score(video_population(own, &groups, &corpus), video, options)
+            let population = &video_population(own, &groups, &corpus).yardstick;
+            score(options.yardstick(population), video, options)
         })
         .collect();
-    let selected = decide(&mut rows, &options.keep);
-    let rewards = reward_rows(&rows, &selected);
+    let selected = decide(&mut rows, options);
+    let rewards = reward_rows(&rows, &selected, options);
+    let comparison = options.reference.as_deref().map(|reference| {
+        let anomalies = rows.iter().filter_map(|row| row.anomaly).collect();
+        let Ok(found) = reference.compare(options.recipe, &values, &anomalies);
+        found
+    });
     let tally = tally(&rows, &rejected, options);
     let groups = groups
         .into_iter()
@@ -140,7 +187,7 @@ pub fn reduce(mut videos: Vec<MeasuredVideo>, options: &ReduceOptions) -> Reduce
         .collect();
     Reduced {
         rows,
-        statistics: tally.statistics(corpus.population, groups, fragility, options),
+        statistics: tally.statistics(corpus.population, groups, fragility, comparison, options),
         rewards,
     }
 }
@@ -207,14 +254,13 @@ fn video_population<'a>(
 }
 
 /// z, S_r and its interval for a scored row; every other row keeps its raw values alone.
-fn score(against: &Surveyed, video: MeasuredVideo, options: &ReduceOptions) -> Row {
+fn score(yardstick: &Yardstick, video: MeasuredVideo, options: &ReduceOptions) -> Row {
     let MeasuredVideo {
         video,
         group,
         carried,
         measurement,
     } = video;
-    let yardstick = &against.yardstick;
     let is_scored = measurement.status == Status::Scored;
     let values = if is_scored {
         BySignal::of(&measurement)
@@ -262,8 +308,38 @@ fn score(against: &Surveyed, video: MeasuredVideo, options: &ReduceOptions) -> R
     }
 }
 
+/// A row scored against the reference by itself, with everything that does not depend on other rows:
+/// all but the rank and, unless the keep rule is a threshold, the decision (`review` here).
+#[must_use]
+pub fn score_final(
+    mut video: MeasuredVideo,
+    reference: &Reference,
+    options: &ReduceOptions,
+) -> Row {
+    reject::reject_non_finite(&mut video.measurement);
+    let mut row = score(reference.yardstick(), video, options);
+    let Some(anomaly) = row.anomaly else {
+        return row;
+    };
+    row.percentile = reference
+        .standing(options.recipe, anomaly)
+        .map(|standing| standing.percentile());
+    if let KeepRule::AtMost(_) = options.keep {
+        row.decision = options.keep.decide(&NO_PLACE, anomaly);
+    }
+    row
+}
+
+/// Of a row whose place is not asked for.
+const NO_PLACE: Place = Place {
+    rank: 0,
+    ranked: 0,
+    group_rank: 0,
+    group_size: 0,
+};
+
 /// Fills in rank, percentile and decision.
-fn decide(rows: &mut [Row], keep: &KeepRule) -> Vec<Selected> {
+fn decide(rows: &mut [Row], options: &ReduceOptions) -> Vec<Selected> {
     let candidates: Vec<Candidate<'_>> = rows
         .iter()
         .map(|row| Candidate {
@@ -272,16 +348,18 @@ fn decide(rows: &mut [Row], keep: &KeepRule) -> Vec<Selected> {
             anomaly: row.anomaly,
         })
         .collect();
-    let selected = select(&candidates, keep);
+    let selected = select(&candidates, &options.keep);
     for (row, selected) in rows.iter_mut().zip(&selected) {
         row.rank = selected.place.map(|place| place.rank);
-        row.percentile = selected.place.map(|place| place.percentile());
+        let standing = selected.place.zip(row.anomaly);
+        row.percentile =
+            standing.map(|(place, anomaly)| options.standing(&place, anomaly).percentile());
         row.decision = selected.decision;
     }
     selected
 }
 
-fn reward_rows(rows: &[Row], selected: &[Selected]) -> Vec<Reward> {
+fn reward_rows(rows: &[Row], selected: &[Selected], options: &ReduceOptions) -> Vec<Reward> {
     let scored: Vec<Scored<'_>> = rows
         .iter()
         .zip(selected)
@@ -294,7 +372,7 @@ fn reward_rows(rows: &[Row], selected: &[Selected]) -> Vec<Reward> {
             })
         })
         .collect();
-    rewards::rewards(&scored)
+    rewards::rewards(&scored, options)
 }
 
 /// The name used in every output.

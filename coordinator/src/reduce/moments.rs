@@ -10,6 +10,8 @@
 //!
 //! Fails on NaN and infinities ([`NotFinite`]).
 
+use serde::{Deserialize, Serialize};
+
 use super::sum::{ExactSquareSum, ExactSum, NotFinite, SQUARE_EXPONENT, VALUE_EXPONENT};
 
 /// Digits of 32 bits put below a dividend, so that a quotient by up to 2⁶⁴ twice keeps at least 64
@@ -26,7 +28,8 @@ pub struct Moments {
 }
 
 /// Mean, standard deviation and the ruler for z-scores.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Standard {
     /// μ, to nearest.
     pub mean: f64,
@@ -120,8 +123,22 @@ impl Standard {
         self.std == 0.0
     }
 
-    /// z = (value − μ)/σ, and 0 where σ = 0 (design section 8). Never NaN for a finite value; infinite
-    /// only for a value so far from those behind the moments that z is beyond the largest float.
+    /// True where the numbers can be those of some values: what was read from a file may be anything.
+    #[must_use]
+    pub(super) fn is_usable(&self) -> bool {
+        let all = [
+            self.mean,
+            self.std,
+            self.unit_std,
+            self.unit_mean,
+            self.unit_mean_tail,
+        ];
+        let spread = self.std == 0.0 || (1.0..=2.0).contains(&self.unit_std);
+        all.iter().all(|number| number.is_finite()) && self.std >= 0.0 && spread
+    }
+
+    /// z = (value − μ)/σ, and 0 where σ = 0 (design section 8). Never NaN for a finite value; at most
+    /// the largest float, for a value that far from those behind the moments.
     #[must_use]
     pub fn z(&self, value: f64) -> f64 {
         if self.is_degenerate() {
@@ -129,11 +146,12 @@ impl Standard {
         }
         let value = libm::scalbn(value, -self.unit_exponent);
         if value.is_infinite() {
-            return value;
+            return f64::MAX.copysign(value);
         }
         let (difference, error) = difference_and_error(value, self.unit_mean);
         // + 0 turns −0 into 0.
-        (difference + (error - self.unit_mean_tail)) / self.unit_std + 0.0
+        let z = (difference + (error - self.unit_mean_tail)) / self.unit_std + 0.0;
+        z.clamp(-f64::MAX, f64::MAX)
     }
 }
 

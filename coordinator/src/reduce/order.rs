@@ -150,6 +150,24 @@ impl OrderStatistics {
     }
 }
 
+/// Ranks that are looked for at once: each may need a table of [`DIGITS`] counts.
+const RANKS_AT_ONCE: usize = 128;
+
+/// The values at many ranks (ascending, distinct, below n), in bounded memory.
+///
+/// # Errors
+/// Where the values cannot be read.
+pub fn at_ranks<V: Values>(values: &V, n: u64, ranks: &[u64]) -> Result<Vec<f64>, V::Error> {
+    let mut found = Vec::with_capacity(ranks.len());
+    if n <= COLLECT_UP_TO {
+        return select(values, n, ranks);
+    }
+    for ranks in ranks.chunks(RANKS_AT_ONCE) {
+        found.extend(select(values, n, ranks)?);
+    }
+    Ok(found)
+}
+
 /// An integer of the same order as the float.
 fn key(value: f64) -> u64 {
     let bits = value.to_bits();

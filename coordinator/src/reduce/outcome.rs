@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::drift::Comparison;
+
 /// z-scores of fewer rows mean nothing: of two they are always −1 and 1.
 pub const FEWEST_ROWS: u64 = 3;
 
@@ -100,6 +102,17 @@ pub struct Population {
     pub weights: BTreeMap<String, f64>,
 }
 
+impl CorpusStatistics {
+    /// The entropy weights that rows were scored with.
+    #[must_use]
+    pub fn weights(&self) -> &BTreeMap<String, f64> {
+        match &self.reference {
+            Some(reference) => &reference.weights,
+            None => &self.corpus.weights,
+        }
+    }
+}
+
 /// `corpus.json` without what the run adds (version, source, profile).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CorpusStatistics {
@@ -131,6 +144,10 @@ pub struct CorpusStatistics {
     pub groups: BTreeMap<String, Population>,
     /// How fragile the weights are; absent with fewer than 3 scored rows.
     pub sensitivity: Option<WeightSensitivity>,
+    /// The frozen reference that rows were scored against, instead of `normalised_within`, and how the
+    /// corpus compares with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<Comparison>,
     /// What a reader must know: degenerate signals, fragile weights, too few rows.
     pub warnings: Vec<String>,
 }

@@ -219,11 +219,13 @@ impl Yardstick {
                 None => missing = true,
             }
         }
+        // Against a reference, a value may lie so far out that the sum would overflow.
         match (weight_present > 0.0, missing) {
             (false, _) => None,
             (true, false) => Some(sum),
             (true, true) => Some(sum / weight_present),
         }
+        .map(|sum: f64| sum.clamp(-f64::MAX, f64::MAX))
     }
 
     fn paper_weight(&self, signal: Signal) -> f64 {

@@ -2,11 +2,13 @@
 //!
 //! With r = −S_r over the rows that have a score: raw r; percentile 1 − (rank − 0.5)/n; soft weight
 //! clip((r − (μ − 2σ))/(4σ + 1e-12), 0, 1) with the corpus' mean and population σ of r (design
-//! section 8). Higher is better. No unit. Nothing fails.
+//! section 8). Against a frozen reference, percentile and soft weight are relative to its scores, so
+//! that they do not depend on the other rows. Higher is better. No unit. Nothing fails.
 
 use plumbline_common::id::VideoId;
 use serde::{Deserialize, Serialize};
 
+use super::ReduceOptions;
 use super::moments::{Moments, Standard};
 use super::select::Place;
 
@@ -24,7 +26,7 @@ pub struct Reward {
     pub group: Option<String>,
     /// −S_r.
     pub raw: f64,
-    /// Share of the corpus that it is better than, in (0, 1).
+    /// Share of the corpus (or the reference) that it is better than.
     pub percentile: f64,
     /// Soft weight in [0, 1].
     pub soft: f64,
@@ -47,24 +49,40 @@ pub struct Scored<'a> {
     pub place: Place,
 }
 
-/// Rewards in the order given.
+/// Mean and population σ of the rewards that a soft weight is relative to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Population σ.
+    pub std: f64,
+}
+
+impl From<Standard> for Spread {
+    fn from(standard: Standard) -> Self {
+        Self {
+            mean: standard.mean,
+            std: standard.std,
+        }
+    }
+}
+
+/// Rewards in the order given; relative to the reference where there is one, else to each other.
 #[must_use]
-pub fn rewards(rows: &[Scored<'_>]) -> Vec<Reward> {
+pub fn rewards(rows: &[Scored<'_>], options: &ReduceOptions) -> Vec<Reward> {
     let raw: Vec<f64> = rows.iter().map(|row| reward(row.anomaly)).collect();
-    let Some(corpus) = Moments::of(&raw)
-        .ok()
-        .and_then(|moments| moments.standard())
-    else {
+    let own = || Some(Spread::from(Moments::of(&raw).ok()?.standard()?));
+    let Some(spread) = options.reward_spread().or_else(own) else {
         return Vec::new();
     };
     rows.iter()
-        .zip(raw)
-        .map(|(row, raw)| Reward {
+        .zip(&raw)
+        .map(|(row, &raw)| Reward {
             video: row.video.clone(),
             group: row.group.map(str::to_owned),
             raw,
-            percentile: percentile_reward(&row.place),
-            soft: soft_weight(raw, &corpus),
+            percentile: options.standing(&row.place, row.anomaly).reward(),
+            soft: soft_weight(raw, spread),
             group_rank: row.place.group_rank,
             group_size: row.place.group_size,
         })
@@ -77,17 +95,11 @@ pub fn reward(anomaly: f64) -> f64 {
     0.0 - anomaly
 }
 
-/// Share of the corpus that a row with this place is better than.
+/// Soft weight in [0, 1] of a raw reward, by the mean and spread of the others.
 #[must_use]
-pub fn percentile_reward(place: &Place) -> f64 {
-    1.0 - (place.rank as f64 - 0.5) / place.ranked as f64
-}
-
-/// Soft weight in [0, 1] of a raw reward, by the corpus' mean and spread of them.
-#[must_use]
-pub fn soft_weight(raw: f64, corpus: &Standard) -> f64 {
-    let from_low = raw - (corpus.mean - SOFT_HALF_WIDTH_SIGMAS * corpus.std);
-    let width = 2.0 * SOFT_HALF_WIDTH_SIGMAS * corpus.std + SOFT_FLOOR;
+pub fn soft_weight(raw: f64, spread: Spread) -> f64 {
+    let from_low = raw - (spread.mean - SOFT_HALF_WIDTH_SIGMAS * spread.std);
+    let width = 2.0 * SOFT_HALF_WIDTH_SIGMAS * spread.std + SOFT_FLOOR;
     (from_low / width).clamp(0.0, 1.0)
 }
 
@@ -119,7 +131,8 @@ mod tests {
                 }
             })
             .collect();
-        rewards(&rows)
+        let options = super::super::reference::tests::options(super::super::Recipe::Paper, "1");
+        rewards(&rows, &options)
     }
 
     /// r = 1, −1: μ 0, σ 1, soft weights (1 + 2)/4 and (−1 + 2)/4.

@@ -1,7 +1,8 @@
 //! Ranks, and which videos to keep.
 //!
 //! Videos are ranked over the whole corpus by anomaly score, ties by video id: rank 1 is the most
-//! consistent; percentile = 100 (rank − 0.5)/n. The keep rule is applied within each group (all rows
+//! consistent; percentile = 100 (rank − 0.5)/n, against a frozen reference the share of its scores
+//! that are better. The keep rule is applied within each group (all rows
 //! together where there are no groups; rows without a group are a group of their own). A row without
 //! a score is never ranked and goes to review.
 
@@ -226,10 +227,36 @@ pub fn select(candidates: &[Candidate<'_>], keep: &KeepRule) -> Vec<Selected> {
 }
 
 impl Place {
-    /// 100 (rank − 0.5)/n.
+    /// Among the rows of the corpus.
+    #[must_use]
+    pub fn standing(&self) -> Standing {
+        Standing {
+            better: self.rank as f64 - 0.5,
+            of: self.ranked,
+        }
+    }
+}
+
+/// Where a score stands among others: how many are better, itself and its equals counted by half.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Standing {
+    /// Better ones.
+    pub better: f64,
+    /// All of them, at least 1.
+    pub of: u64,
+}
+
+impl Standing {
+    /// In percent; 0 is the best.
     #[must_use]
     pub fn percentile(&self) -> f64 {
-        100.0 * (self.rank as f64 - 0.5) / self.ranked as f64
+        100.0 * self.better / self.of as f64
+    }
+
+    /// The share that is worse.
+    #[must_use]
+    pub fn reward(&self) -> f64 {
+        1.0 - self.better / self.of as f64
     }
 }
 
@@ -367,7 +394,7 @@ mod tests {
         assert_eq!(decisions("50%"), [Drop, Keep, Keep, Review, Keep]);
         assert_eq!(decisions("51%"), [Keep, Keep, Keep, Review, Keep]);
         assert_eq!(decisions("s<=0"), [Keep, Keep, Keep, Review, Drop]);
-        assert_eq!(found[2].place.unwrap().percentile(), 12.5);
+        assert_eq!(found[2].place.unwrap().standing().percentile(), 12.5);
         assert!(run(&[], "1").is_empty());
     }
 

@@ -4,6 +4,8 @@
 //! the robust z = (s − median)/MAD clipped to [−3, 6] (evidence.md section 2). Where the spread is
 //! zero, z is 0 and the signal is degenerate. No unit. Nothing fails.
 
+use serde::{Deserialize, Serialize};
+
 use super::moments::Standard;
 
 /// Robust z-scores are clipped: below −3 a clip is as good as can be told, and above 6 one signal
@@ -11,7 +13,8 @@ use super::moments::Standard;
 const ROBUST_Z_RANGE: (f64, f64) = (-3.0, 6.0);
 
 /// Median and median absolute deviation (unscaled).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RobustStandard {
     /// The median.
     pub median: f64,
@@ -43,7 +46,8 @@ fn deviation(value: f64, median: f64) -> f64 {
 }
 
 /// What a signal is measured with.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Ruler {
     /// No row has the signal.
     Absent,
@@ -71,6 +75,18 @@ impl Ruler {
             Self::Absent => false,
             Self::Standard(standard) => standard.is_degenerate(),
             Self::Robust(robust) => robust.is_degenerate(),
+        }
+    }
+
+    /// True where the numbers can be those of some values: what was read from a file may be anything.
+    #[must_use]
+    pub(super) fn is_usable(&self) -> bool {
+        match self {
+            Self::Absent => true,
+            Self::Standard(standard) => standard.is_usable(),
+            Self::Robust(robust) => {
+                robust.median.is_finite() && robust.mad.is_finite() && robust.mad >= 0.0
+            }
         }
     }
 

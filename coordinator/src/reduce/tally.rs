@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use plumbline_common::row::{Decision, Status};
 
+use super::drift::Comparison;
 use super::outcome::{CorpusStatistics, NormaliseWithin, Population, WeightSensitivity};
 use super::recipe::signals_of;
 use super::select::KeepRule;
@@ -113,6 +114,7 @@ impl Tally {
         corpus: Population,
         groups: BTreeMap<String, Population>,
         sensitivity: Option<WeightSensitivity>,
+        reference: Option<Comparison>,
         options: &ReduceOptions,
     ) -> CorpusStatistics {
         let warnings = warnings::warnings(
@@ -120,6 +122,7 @@ impl Tally {
             &scored_against(&corpus, &groups, options),
             &corpus,
             sensitivity.as_ref(),
+            reference.as_ref(),
             options,
         );
         CorpusStatistics {
@@ -133,11 +136,12 @@ impl Tally {
             range: options.range,
             normalised_within: options.normalise_within,
             keep: options.keep.to_string(),
-            degenerate: tells_nothing(&corpus, options.recipe),
+            degenerate: options.reference.is_none() && tells_nothing(&corpus, options.recipe),
             uncertain_decisions: (self.intervals > 0).then_some(self.uncertain),
             corpus,
             groups,
             sensitivity,
+            reference,
             warnings,
         }
     }
@@ -161,8 +165,11 @@ pub(super) fn tells_nothing(population: &Population, recipe: Recipe) -> bool {
 fn scored_against<'a>(
     corpus: &'a Population,
     groups: &'a BTreeMap<String, Population>,
-    options: &ReduceOptions,
+    options: &'a ReduceOptions,
 ) -> Vec<(String, &'a Population)> {
+    if let Some(reference) = &options.reference {
+        return vec![("the reference".to_owned(), &reference.frozen().population)];
+    }
     if options.normalise_within == NormaliseWithin::Group && !groups.is_empty() {
         return groups
             .iter()

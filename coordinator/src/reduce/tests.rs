@@ -17,6 +17,7 @@ fn options(recipe: Recipe, n: u16, keep: &str) -> ReduceOptions {
         keep: keep.parse().unwrap(),
         profile_digest: "digest".to_owned(),
         normalise_within: NormaliseWithin::Corpus,
+        reference: None,
     }
 }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::ReduceOptions;
+use super::drift::{Comparison, Drift, PSI_LEVELS, Verdict};
 use super::outcome::{FEWEST_ROWS, NormaliseWithin, Population, Recipe, WeightSensitivity};
 use super::recipe::signals_of;
 use super::tally::{Tally, tells_nothing};
@@ -17,6 +18,7 @@ pub fn warnings(
     populations: &[(String, &Population)],
     corpus: &Population,
     sensitivity: Option<&WeightSensitivity>,
+    comparison: Option<&Comparison>,
     options: &ReduceOptions,
 ) -> Vec<String> {
     let (recipe, bins) = (options.recipe, options.bins.get());
@@ -45,6 +47,11 @@ pub fn warnings(
     if let (Recipe::Paper, Some(sensitivity)) = (recipe, sensitivity) {
         warnings.extend(of_weights(corpus, sensitivity));
     }
+    warnings.extend(
+        comparison
+            .into_iter()
+            .flat_map(|comparison| of_drift(comparison, recipe)),
+    );
     if options.normalise_within == NormaliseWithin::Corpus && tally.groups_differ() {
         warnings.push(
             "groups differ in picture size or frame rate, which scores follow too: compare within a \
@@ -87,6 +94,46 @@ fn of_population(name: &str, population: &Population, recipe: Recipe, bins: u16)
     if tells_nothing(population, recipe) {
         warnings.push(format!(
             "no signal of the recipe tells the rows of {name} apart: every score is 0 and ranks follow names"
+        ));
+    }
+    warnings
+}
+
+/// Signals of the recipe, and scores, that have moved away from the reference.
+fn of_drift(comparison: &Comparison, recipe: Recipe) -> Vec<String> {
+    let names = signals_of(recipe).map(|s| s.column()).chain(["anomaly"]);
+    let known: Vec<(&str, &Drift)> = names
+        .filter_map(|name| Some((name, comparison.drift.get(name)?)))
+        .collect();
+    let (moderate, major) = PSI_LEVELS;
+    let mut warnings: Vec<String> = known
+        .iter()
+        .filter_map(|(name, drift)| {
+            let by_index = drift.psi.filter(|_| drift.psi_by_chance.is_some_and(|c| c < major));
+            let how = match (drift.verdict, by_index, drift.ks) {
+                (Verdict::Moderate, Some(psi), _) => {
+                    format!("has moved from the reference (stability index {psi:.2}, from {moderate} on)")
+                }
+                (Verdict::Major, Some(psi), _) if psi >= major => {
+                    format!("has moved far from the reference (stability index {psi:.2}, from {major} on)")
+                }
+                (Verdict::Major, _, Some(ks)) => {
+                    format!("has moved far from the reference (Kolmogorov-Smirnov distance {ks:.2})")
+                }
+                _ => return None,
+            };
+            Some(format!("{name} {how}: scores may not mean what they meant there"))
+        })
+        .collect();
+    if !known.is_empty()
+        && known
+            .iter()
+            .all(|(_, drift)| drift.verdict == Verdict::TooFew)
+    {
+        let n = known.iter().map(|(_, drift)| drift.n).max().unwrap_or(0);
+        warnings.push(format!(
+            "with {n} rows against {} it cannot be judged whether the corpus is like the reference",
+            comparison.n
         ));
     }
     warnings

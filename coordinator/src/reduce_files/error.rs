@@ -38,6 +38,26 @@ pub enum ReduceFilesError {
         /// Another.
         second: String,
     },
+    /// The reference belongs to another profile.
+    #[error(
+        "the rows were measured by profile {rows}, the reference is of profile {fitted}: their signals differ; fit a reference on rows of the same profile with `plumbline reference fit`"
+    )]
+    ReferenceProfile {
+        /// Digest of the rows' profile.
+        rows: String,
+        /// Digest of the reference's.
+        fitted: String,
+    },
+    /// Too few rows to freeze.
+    #[error(
+        "{rows} scored rows: a reference needs at least {least} (a hundred are better); name more"
+    )]
+    TooFewRows {
+        /// Scored rows.
+        rows: u64,
+        /// Needed.
+        least: u64,
+    },
     /// `--group-by` cannot be applied.
     #[error(transparent)]
     Group(#[from] crate::corpus::CorpusError),

@@ -10,6 +10,7 @@ mod by_group;
 mod columns;
 pub mod error;
 mod float_file;
+pub mod freeze;
 mod intake;
 mod output;
 mod parts;
@@ -36,8 +37,10 @@ use crate::reduce::ReduceOptions;
 use crate::reduce::outcome::CorpusStatistics;
 use crate::reduce::population::{Surveyed, survey};
 use crate::reduce::recipe::PAPER;
+use crate::reduce::rewards::Spread;
 use crate::reduce::sensitivity::{self, sensitivity};
 use crate::run::STATE_DIRECTORY;
+use columns::Columns;
 pub use error::ReduceFilesError;
 use intake::{Intake, Taken, take_in};
 use output::Completion;
@@ -121,7 +124,75 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
     out.sweep_partials()?;
     out.remove(CORPUS_FILE)?;
 
-    let (tables, columns) = parts::open(&files, scratch)?;
+    let reduced = &options.reduce;
+    let (intake, columns) = all_in_order(&files, options, scratch)?;
+    refuse_other_profile(&intake, reduced)?;
+    let corpus = survey(intake.scored, &intake.signals, reduced.bins, reduced.range)?;
+    let groups = by_group::survey_groups(&intake, options, scratch)?;
+    let fragility = match reduced.reference {
+        // Its weights do not depend on these rows.
+        Some(_) => None,
+        None => {
+            let left_out = left_out(&intake, &corpus)?;
+            let (bins, range) = (reduced.bins, reduced.range);
+            sensitivity(&corpus, &intake.signals, &left_out, bins, range)?
+        }
+    };
+    let yardsticks = Yardsticks::of(&corpus, &groups, &intake, reduced);
+    let (anomalies, rewards) =
+        scoring::score(&intake, &yardsticks, reduced, scratch, options.threads)?;
+    let places = Places::rank(
+        &anomalies,
+        intake.groups.as_ref(),
+        &reduced.keep,
+        scratch,
+        options.budget.section_rows,
+    )?;
+
+    let completion = Completion {
+        intake: &intake,
+        columns: &columns,
+        yardsticks: &yardsticks,
+        anomalies: &anomalies,
+        rewards: reduced.reward_spread().or(rewards.map(Spread::from)),
+        places: &places,
+        options: reduced,
+    };
+    let (mut files_written, tally) =
+        output::write(&out, &completion, Paths::beside(&files), &options.formats)?;
+    out.remove(REPORT_FILE)?;
+    for name in publish::EVALUATION_FILES {
+        out.remove(name)?;
+    }
+    for format in Format::ALL {
+        out.remove(&format!("costs.{}", format.extension()))?;
+    }
+    let groups = groups
+        .into_iter()
+        .map(|(name, group)| (name, group.population))
+        .collect();
+    let reference = reduced.reference.as_deref();
+    let comparison = reference
+        .map(|reference| reference.compare(reduced.recipe, &intake.signals, &anomalies))
+        .transpose()?;
+    let statistics = tally.statistics(corpus.population, groups, fragility, comparison, reduced);
+    let bytes = corpus_json(&corpus_file(&files, &intake, statistics.clone()))?;
+    out.put_atomic(CORPUS_FILE, &bytes)?;
+    files_written.push(publish::CORPUS_FILE.to_owned());
+    Ok(ReducedFiles {
+        files: files_written,
+        rows: intake.rows,
+        statistics,
+    })
+}
+
+/// Every row, in the order of `video`.
+fn all_in_order(
+    files: &[PathBuf],
+    options: &ReduceFilesOptions,
+    scratch: &Path,
+) -> Result<(Box<Intake>, Columns), ReduceFilesError> {
+    let (tables, columns) = parts::open(files, scratch)?;
     if tables.is_empty() {
         return Err(ReduceFilesError::Empty {
             sources: files
@@ -143,60 +214,22 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
             }
         }
     };
+    Ok((intake, columns))
+}
 
-    let reduced = &options.reduce;
-    let corpus = survey(intake.scored, &intake.signals, reduced.bins, reduced.range)?;
-    let groups = by_group::survey_groups(&intake, options, scratch)?;
-    let left_out = left_out(&intake, &corpus)?;
-    let fragility = sensitivity(
-        &corpus,
-        &intake.signals,
-        &left_out,
-        reduced.bins,
-        reduced.range,
-    )?;
-    let yardsticks = Yardsticks::of(&corpus, &groups, &intake, reduced);
-    let (anomalies, rewards) =
-        scoring::score(&intake, &yardsticks, reduced, scratch, options.threads)?;
-    let places = Places::rank(
-        &anomalies,
-        intake.groups.as_ref(),
-        &reduced.keep,
-        scratch,
-        options.budget.section_rows,
-    )?;
-
-    let completion = Completion {
-        intake: &intake,
-        columns: &columns,
-        yardsticks: &yardsticks,
-        anomalies: &anomalies,
-        rewards: rewards.as_ref(),
-        places: &places,
-        options: reduced,
+fn refuse_other_profile(intake: &Intake, options: &ReduceOptions) -> Result<(), ReduceFilesError> {
+    let Some(reference) = &options.reference else {
+        return Ok(());
     };
-    let (mut files_written, tally) =
-        output::write(&out, &completion, Paths::beside(&files), &options.formats)?;
-    out.remove(REPORT_FILE)?;
-    for name in publish::EVALUATION_FILES {
-        out.remove(name)?;
+    let known = |digest: &Option<String>| digest.as_deref().unwrap_or("(none)").to_owned();
+    let fitted = &reference.frozen().profile_digest;
+    if *fitted != intake.profile_digest {
+        return Err(ReduceFilesError::ReferenceProfile {
+            rows: known(&intake.profile_digest),
+            fitted: known(fitted),
+        });
     }
-    for format in Format::ALL {
-        out.remove(&format!("costs.{}", format.extension()))?;
-    }
-    let groups = groups
-        .into_iter()
-        .map(|(name, group)| (name, group.population))
-        .collect();
-    let statistics = tally.statistics(corpus.population, groups, fragility, reduced);
-    let bytes = corpus_json(&corpus_file(&files, &intake, statistics.clone()))?;
-    out.put_atomic(CORPUS_FILE, &bytes)?;
-    files_written.push(publish::CORPUS_FILE.to_owned());
-    Ok(ReducedFiles {
-        files: files_written,
-        rows: intake.rows,
-        statistics,
-    })
+    Ok(())
 }
 
 fn refuse_own_source(files: &[PathBuf], out: &Path) -> Result<(), ReduceFilesError> {
@@ -263,16 +296,20 @@ fn left_out(intake: &Intake, corpus: &Surveyed) -> Result<Vec<sensitivity::Row>,
     Ok(found.into_values().collect())
 }
 
-/// `corpus.json`: profile and source are those of the run that the rows come from, where its own
-/// `corpus.json` lies beside them and speaks of the same profile.
-fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics) -> CorpusFile {
-    let digest = intake.profile_digest.clone();
-    let beside = files
+/// The `corpus.json` of the run that the rows come from, where it lies beside them and speaks of the
+/// same profile.
+fn beside(files: &[PathBuf], intake: &Intake) -> Option<CorpusFile> {
+    let digest = intake.profile_digest.as_ref();
+    files
         .iter()
         .filter_map(|file| std::fs::read(file.with_file_name(CORPUS_FILE)).ok())
         .filter_map(|bytes| serde_json::from_slice::<CorpusFile>(&bytes).ok())
-        .find(|corpus| corpus.profile.as_ref().map(|profile| &profile.digest) == digest.as_ref());
-    match beside {
+        .find(|corpus| corpus.profile.as_ref().map(|profile| &profile.digest) == digest)
+}
+
+/// `corpus.json`: profile and source are those of the run that the rows come from, where that is known.
+fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics) -> CorpusFile {
+    match beside(files, intake) {
         Some(corpus) => CorpusFile {
             plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
             statistics,
@@ -281,7 +318,7 @@ fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics)
         None => CorpusFile {
             plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
             source: Vec::new(),
-            profile: digest.map(|digest| ProfileRecord {
+            profile: intake.profile_digest.clone().map(|digest| ProfileRecord {
                 name: None,
                 digest,
                 parameters: serde_json::Value::Null,

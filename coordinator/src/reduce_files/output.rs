@@ -31,10 +31,9 @@ use crate::publish::manifests::DECISIONS;
 use crate::publish::rewards::reward_columns;
 use crate::publish::trainer_lists::TrainerLists;
 use crate::publish::{OutDir, PublishError};
-use crate::reduce::moments::Standard;
 use crate::reduce::recipe::{BySignal, Signal, signals_of};
-use crate::reduce::rewards::{percentile_reward, reward, soft_weight};
-use crate::reduce::select::Place;
+use crate::reduce::rewards::{Spread, reward, soft_weight};
+use crate::reduce::select::{Place, Standing};
 use crate::reduce::tally::{Facts, Tally};
 use crate::reduce::{ReduceOptions, decision_name, recipe_name};
 
@@ -50,7 +49,7 @@ pub(super) struct Completion<'a> {
     pub(super) columns: &'a Columns,
     pub(super) yardsticks: &'a Yardsticks<'a>,
     pub(super) anomalies: &'a FloatFile,
-    pub(super) rewards: Option<&'a Standard>,
+    pub(super) rewards: Option<Spread>,
     pub(super) places: &'a Places,
     pub(super) options: &'a ReduceOptions,
 }
@@ -363,6 +362,7 @@ impl Completion<'_> {
                 .map(|&g| group_names.get(g as usize))
                 .collect(),
             recipe: recipe_name(recipe),
+            options: self.options,
         };
         let failed = |error| ReduceFilesError::Encode(arrow_schema::ArrowError::into(error));
         let scores = made.scores(tables, &batch).map_err(failed)?;
@@ -396,11 +396,17 @@ struct Made<'a> {
     decisions: &'a [Decision],
     groups: Vec<Option<&'a String>>,
     recipe: &'a str,
+    options: &'a ReduceOptions,
 }
 
 type Batch = Result<RecordBatch, arrow_schema::ArrowError>;
 
 impl Made<'_> {
+    fn standings(&self) -> impl Iterator<Item = Option<Standing>> {
+        let rows = self.places.iter().zip(&self.anomalies);
+        rows.map(|(place, &anomaly)| Some(self.options.standing(place.as_ref()?, anomaly?)))
+    }
+
     fn column(&self, name: &str) -> Option<ArrayRef> {
         let floats =
             |values: Vec<Option<f64>>| -> ArrayRef { Arc::new(Float64Array::from(values)) };
@@ -416,7 +422,7 @@ impl Made<'_> {
             "anomaly_lo" => floats(self.intervals.iter().map(|i| i.map(|i| i.0)).collect()),
             "anomaly_hi" => floats(self.intervals.iter().map(|i| i.map(|i| i.1)).collect()),
             "rank" => Arc::new(ranked().map(|p| p.map(|p| p.rank)).collect::<UInt64Array>()),
-            "percentile" => floats(ranked().map(|p| p.map(|p| p.percentile())).collect()),
+            "percentile" => floats(self.standings().map(|s| Some(s?.percentile())).collect()),
             "decision" => Arc::new(
                 self.decisions
                     .iter()
@@ -460,7 +466,7 @@ impl Made<'_> {
         batch(&tables.manifest, own.chain(carried).collect(), rows)
     }
 
-    fn rewards(&self, tables: &Tables, scores: &RecordBatch, corpus: Option<&Standard>) -> Batch {
+    fn rewards(&self, tables: &Tables, scores: &RecordBatch, spread: Option<Spread>) -> Batch {
         let rows = scores.num_rows();
         let raw = || self.anomalies.iter().map(|a| a.map(reward));
         let places = || self.places.iter();
@@ -468,13 +474,13 @@ impl Made<'_> {
             match field.name().as_str() {
                 "raw" => Arc::new(raw().collect::<Float64Array>()),
                 "percentile" => Arc::new(
-                    places()
-                        .map(|p| p.map(|p| percentile_reward(&p)))
+                    self.standings()
+                        .map(|s| Some(s?.reward()))
                         .collect::<Float64Array>(),
                 ),
                 "soft" => Arc::new(
                     raw()
-                        .map(|r| Some(soft_weight(r?, corpus?)))
+                        .map(|r| Some(soft_weight(r?, spread?)))
                         .collect::<Float64Array>(),
                 ),
                 "group_rank" => Arc::new(

@@ -25,16 +25,16 @@ impl<'a> Yardsticks<'a> {
         corpus: &'a Surveyed,
         groups: &'a BTreeMap<String, Surveyed>,
         intake: &Intake,
-        options: &ReduceOptions,
+        options: &'a ReduceOptions,
     ) -> Self {
-        let own = options.normalise_within == NormaliseWithin::Group;
+        let own = options.normalise_within == NormaliseWithin::Group && options.reference.is_none();
         let names = intake
             .groups
             .as_ref()
             .filter(|_| own)
             .map_or(&[][..], |groups| &groups.names);
         Self {
-            corpus: &corpus.yardstick,
+            corpus: options.yardstick(&corpus.yardstick),
             groups: names
                 .iter()
                 .map(|name| groups.get(name).map(|g| &g.yardstick))

@@ -41,6 +41,7 @@ fn reduce_options(recipe: Recipe, keep: &str) -> ReduceOptions {
         keep: keep.parse().unwrap(),
         profile_digest: "d1ge57".to_owned(),
         normalise_within: NormaliseWithin::Corpus,
+        reference: None,
     }
 }
 
@@ -490,4 +491,73 @@ fn foreign_parquet_is_read_by_name() {
     );
     o.group_by = Some("nonsense".parse().unwrap());
     assert!(refusal(&o).contains("--group-by nonsense"));
+}
+
+/// Frozen from files in any order, a reference has the bits of one frozen in memory; rows scored
+/// against it agree in files and in memory, in any order and any parts.
+#[test]
+fn references_agree_in_files_and_memory_whatever_the_order() {
+    use crate::reduce::reference::tests::{against, freeze as freeze_in_memory};
+    let dir = tempfile::tempdir().unwrap();
+    let o = reduce_options(Recipe::Paper, "40%");
+    let lines = lines_of(300, 11);
+    let mut references = Vec::new();
+    for (seed, parts) in [(1, 1), (2, 7)] {
+        let source = dir.path().join(format!("reference-{seed}"));
+        fs::create_dir(&source).unwrap();
+        let shuffled = shuffled(lines.clone(), seed);
+        for (k, lines) in shuffled.chunks(shuffled.len().div_ceil(parts)).enumerate() {
+            write_part(&source.join(format!("part-{k}.jsonl")), lines);
+        }
+        let of_files = options(&[&source], dir.path(), &o);
+        let (frozen, profile) = freeze::freeze(&of_files, dir.path()).unwrap();
+        assert!(profile.is_none());
+        references.push(frozen);
+    }
+    let reference = freeze_in_memory(&corpus(300, 11), &o);
+    assert_eq!(references, [reference.clone(), reference.clone()]);
+
+    for recipe in [Recipe::Paper, Recipe::Balanced] {
+        let o = against(&reference, &reduce_options(recipe, "40%"));
+        let (memory, files) = (dir.path().join("memory"), dir.path().join("files"));
+        scored(corpus(90, 3), &o, &memory);
+        let rows = rows_with_paths(&memory);
+        let change = |options: &mut ReduceFilesOptions| options.reduce = o.clone();
+        let whole = in_parts(&rows, 1, 0, change);
+        for (seed, parts) in [(4, 1), (5, 13)] {
+            assert_eq!(in_parts(&rows, parts, seed, change), whole);
+        }
+        let part = memory.join("part.jsonl");
+        write_part(&part, &rows);
+        reduce_files(&options(&[&part], &files, &o)).unwrap();
+        for name in MANIFESTS
+            .into_iter()
+            .chain(["corpus.json", "rewards.jsonl"])
+        {
+            assert_eq!(
+                read(&files, name),
+                read(&memory, name),
+                "{name}, {recipe:?}"
+            );
+        }
+    }
+    let mut other = reference;
+    other.profile_digest = Some("other".to_owned());
+    let o = against(&other, &o);
+    let part = dir.path().join("memory/part.jsonl");
+    let refused = reduce_files(&options(&[&part], &dir.path().join("out"), &o)).unwrap_err();
+    assert!(
+        refused.is_usage() && refused.to_string().contains("d1ge57"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn too_few_rows_are_no_reference() {
+    let dir = tempfile::tempdir().unwrap();
+    let part = dir.path().join("part.jsonl");
+    write_part(&part, &lines_of(2, 1));
+    let o = options(&[&part], dir.path(), &reduce_options(Recipe::Paper, "1"));
+    let refused = freeze::freeze(&o, dir.path()).unwrap_err().to_string();
+    assert!(refused.contains("at least 3"), "{refused}");
 }

@@ -15,8 +15,7 @@ use crate::publish::OutDir;
 use crate::publish::trainer_lists::{
     DATASET_FROM_INDEX, EPISODE_INDEX, KEY, LENGTH, ListedRow, SHARD, TrainerLists, whole_number,
 };
-use crate::reduce::moments::Standard;
-use crate::reduce::rewards::{reward, soft_weight};
+use crate::reduce::rewards::{Spread, reward, soft_weight};
 
 /// The lists so far; nothing is looked at where no column makes one.
 pub(super) struct Lists<'a> {
@@ -41,7 +40,7 @@ impl<'a> Lists<'a> {
         scores: &RecordBatch,
         decisions: &[Decision],
         anomalies: &[Option<f64>],
-        rewards: Option<&Standard>,
+        rewards: Option<Spread>,
     ) -> Result<(), ReduceFilesError> {
         if !self.wanted {
             return Ok(());
@@ -72,7 +71,7 @@ impl<'a> Lists<'a> {
                 reward: anomaly
                     .map(reward)
                     .zip(rewards)
-                    .map(|(raw, corpus)| (raw, soft_weight(raw, corpus))),
+                    .map(|(raw, spread)| (raw, soft_weight(raw, spread))),
             };
             self.lists.note(self.out, decision, &listed)?;
         }

@@ -190,6 +190,7 @@ pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
                 leave_one_out_max_change: 0.083,
                 leave_one_out_video: all.first().map(|row| row.video.to_string()),
             }),
+            reference: None,
             warnings: Vec::new(),
         },
     }

@@ -40,7 +40,9 @@ pub(super) fn section(corpus: &CorpusFile) -> Section {
                     Range::Winsorised => "the 0.5–99.5% range",
                 }
                 "; the line marks the mean. "
-                @if statistics.recipe == Recipe::Balanced {
+                @if statistics.reference.is_some() {
+                    "This run is scored against a reference: these weights are for comparison only."
+                } @else if statistics.recipe == Recipe::Balanced {
                     "This run’s score uses the balanced recipe: these weights are for comparison only."
                 }
             }

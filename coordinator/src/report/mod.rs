@@ -9,6 +9,7 @@
 
 mod axis;
 mod distribution;
+mod drift;
 mod evaluation;
 mod faults;
 mod measures;
@@ -106,6 +107,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
         faults::section(input.rows),
         distribution::section(&judged),
         motion::section(&judged),
+        drift::section(input.corpus),
         measures::section(input.corpus),
         ranking::best(input, &judged),
         table::section(input, &judged),

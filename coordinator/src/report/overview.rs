@@ -104,11 +104,15 @@ fn how_to_read(input: &ReportInput<'_>) -> Markup {
             "It is the mean of two families of motion-balanced signals, each as a robust z-score."
         }
     };
+    let population = match statistics.reference {
+        Some(_) => "the frozen reference",
+        None => "this corpus",
+    };
     html! {
         div.reading {
             div {
                 h3 { "Lower is better" }
-                p { "The anomaly score says how far a video stands from this corpus: near 0 is usual, positive is less consistent. " (recipe) }
+                p { "The anomaly score says how far a video stands from " (population) ": near 0 is usual, positive is less consistent. " (recipe) }
             }
             div {
                 h3 { "It is relative" }

@@ -1,8 +1,8 @@
 //! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
-//! `faults`: known faults in the published rows. `evaluate`, `explain`, `flow`, `heatmaps`, `judge`,
-//! `reference`: the commands and flags of these names. `outlier`: one clip that moves the weights.
+//! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `evaluate`,
+//! `explain`, `flow`, `heatmaps`, `judge`, `reference`: the commands and flags of these names. `outlier`: one clip that moves the weights.
 //! `trainer_lists`: episodes and shards for trainers. `hostile`: bad videos and bad names. `system`:
 //! permissions, full disks, lost and limited compute processes. `paper`: the published numbers,
 //! recomputed by hand.
@@ -19,6 +19,7 @@ mod evaluate;
 mod explain;
 mod faults;
 mod flow;
+mod frozen;
 mod heatmaps;
 mod hostile;
 mod judge;

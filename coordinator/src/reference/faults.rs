@@ -14,6 +14,7 @@ use plumbline_vision::signals::median;
 use plumbline_worker::child::SlotError;
 use plumbline_worker::profile::Profile;
 
+use super::file::{ReferenceError, directory_and_name};
 use crate::corpus::{self, CorpusError};
 use crate::fanout::{Detail, Fanout, Slots};
 use crate::progress::Progress;
@@ -72,11 +73,8 @@ pub enum FitError {
     #[error(transparent)]
     Publish(#[from] PublishError),
     /// The file has no name.
-    #[error("--out {}: name a file", path.display())]
-    NoName {
-        /// As typed.
-        path: PathBuf,
-    },
+    #[error(transparent)]
+    NoName(#[from] ReferenceError),
     /// The profile or the thresholds cannot be written down.
     #[error(transparent)]
     Thresholds(#[from] ThresholdsError),
@@ -96,10 +94,7 @@ pub enum FitError {
 /// # Errors
 /// [`FitError`]; then nothing is written.
 pub async fn fit(options: &FitOptions) -> Result<Fitted, FitError> {
-    let name = options.out.file_name().and_then(|name| name.to_str());
-    let name = name.ok_or_else(|| FitError::NoName {
-        path: options.out.clone(),
-    })?;
+    let (directory, name) = directory_and_name(&options.out)?;
     let entries = corpus::freeze(&options.sources, None, &options.out)?.entries;
     let profile = options
         .profile
@@ -158,9 +153,7 @@ pub async fn fit(options: &FitOptions) -> Result<Fitted, FitError> {
     let file = fitted(options, &clean)?;
     let mut bytes = serde_json::to_vec_pretty(&file).map_err(ThresholdsError::Profile)?;
     bytes.push(b'\n');
-    let directory = options.out.parent().filter(|d| !d.as_os_str().is_empty());
-    let out = OutDir::create(directory.unwrap_or(std::path::Path::new(".")))?;
-    out.put_atomic(name, &bytes)?;
+    OutDir::create(directory)?.put_atomic(name, &bytes)?;
     Ok(Fitted { file, unused })
 }
 

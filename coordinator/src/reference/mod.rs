@@ -1,0 +1,4 @@
+//! What later runs are compared with: frozen corpus statistics (`file`), fault thresholds (`faults`).
+
+pub mod faults;
+pub mod file;
