@@ -118,7 +118,7 @@ impl Default for VerdictParams {
             min_consistent_fraction: 0.05,
             min_corresponding_fraction: 0.05,
             min_structured_fraction: 0.01,
-            max_bad_frame: 0.1,
+            max_bad_frame: 0.2,
         }
     }
 }

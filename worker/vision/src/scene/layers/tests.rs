@@ -13,10 +13,16 @@ const GATES: Gates = Gates {
     layer_px: 1.414,
 };
 
-/// Rows `from..to` of the grid move by an affine map of their own.
-fn move_rows(field: &mut CorrespondenceField, rows: [usize; 2], affine: [[f64; 3]; 2]) {
+/// A block of the grid, rows and columns `from..to`, moves by an affine map of its own.
+fn move_block(
+    field: &mut CorrespondenceField,
+    [rows, columns]: [[usize; 2]; 2],
+    affine: [[f64; 3]; 2],
+) {
+    let within = |[from, to]: [usize; 2], place: usize| (from..to).contains(&place);
     for (c, &cell) in field.correspondences.iter_mut().zip(&field.cells) {
-        if (rows[0]..rows[1]).contains(&(cell as usize / COLUMNS)) {
+        let (row, column) = (cell as usize / COLUMNS, cell as usize % COLUMNS);
+        if within(rows, row) && within(columns, column) {
             let [x, y] = c.from_px;
             let by = affine.map(|[a, b, shift]| a * x + b * y + shift);
             c.to_px = [c.to_px[0] + by[0], c.to_px[1] + by[1]];
@@ -41,8 +47,16 @@ fn still(noise_px: f64, seed: u64) -> CorrespondenceField {
 /// Two bodies: a turning one and a sliding one, over nine of the grid's 32 rows.
 fn two_bodies(noise_px: f64, seed: u64) -> CorrespondenceField {
     let mut field = still(noise_px, seed);
-    move_rows(&mut field, [4, 9], turn(0.02, [150.0, 60.0], [6.0, 3.0]));
-    move_rows(&mut field, [20, 24], [[0.0, 0.0, -5.0], [0.0, 0.0, 7.0]]);
+    move_block(
+        &mut field,
+        [[4, 9], [0, COLUMNS]],
+        turn(0.02, [150.0, 60.0], [6.0, 3.0]),
+    );
+    move_block(
+        &mut field,
+        [[20, 24], [0, COLUMNS]],
+        [[0.0, 0.0, -5.0], [0.0, 0.0, 7.0]],
+    );
     field
 }
 
@@ -327,7 +341,11 @@ fn bodies_before_a_moving_camera_are_found_too() {
     let fields = (0..4)
         .map(|seed| {
             let mut field = clip_points(&camera, Scene::Plane, 0.2, seed);
-            move_rows(&mut field, [4, 9], turn(0.02, [150.0, 60.0], [6.0, 3.0]));
+            move_block(
+                &mut field,
+                [[4, 14], [10, 20]],
+                turn(0.02, [120.0, 70.0], [6.0, 3.0]),
+            );
             field
         })
         .collect();
