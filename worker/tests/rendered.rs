@@ -45,8 +45,11 @@ fn noise(place: usize) -> u8 {
     ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 56) as u8
 }
 
-/// What a frame is replaced by: name and byte `i` of the picture, `width` bytes wide.
-const REPLACEMENTS: [(&str, fn(usize, usize) -> u8); 5] = [
+/// Byte `i` of a picture that is `width` bytes wide.
+type Replacement = fn(usize, usize) -> u8;
+
+/// What a frame is replaced by.
+const REPLACEMENTS: [(&str, Replacement); 5] = [
     ("noise", |i, _| noise(i)),
     ("blocks", |i, width| {
         noise(i % width / 36 + 1000 * (i / width / 12))
