@@ -13,7 +13,7 @@ say "rendering the sample: 24 robot clips, half of them with a known fault"
 "$plumbline" sample --out "$out/sample"
 
 say "scoring it"
-# Exit code 3 says that some rows have no score: the clip with a noise frame is such a row.
+# Exit code 3 says that some rows have no score: clips with a frame of noise or blur are such rows.
 "$plumbline" score "$out/sample/videos" --out "$out/scores" --group-by prefix:__ || [ $? -eq 3 ]
 
 say "done: open $out/scores/report.html"

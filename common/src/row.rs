@@ -102,6 +102,9 @@ pub struct Series {
     pub reproj_px: Vec<Option<f64>>,
     /// Valid cells behind `reproj_px`: the weight of the frame in the clip's mean.
     pub reproj_cells: Vec<u32>,
+    /// Mean residual of what moves under the camera and rigid layers.
+    #[serde(default)]
+    pub layer_residual_px: Vec<Option<f64>>,
     /// P: piecewise-affine residual of moving pixels, relative to their motion.
     pub piecewise_residual: Vec<Option<f64>>,
     /// T: appearance residual of moving over all pixels.
@@ -120,6 +123,19 @@ pub struct Series {
     /// Lower quartile of the same over cells.
     #[serde(default)]
     pub detail_change_q25: Vec<Option<f64>>,
+}
+
+impl Series {
+    /// The paper's jump at `frame` with its sign, e_t − e_{t−1}, px of a 256-px-high picture: negative
+    /// where the residual falls, which is no artifact. `None` where either frame has no residual.
+    #[must_use]
+    pub fn reproj_jump_px(&self, frame: u32) -> Option<f64> {
+        let at = |frame: u32| {
+            let place = frame.checked_sub(self.first_frame)?;
+            *self.reproj_px.get(place as usize)?
+        };
+        Some(at(frame)? - at(frame.checked_sub(1)?)?)
+    }
 }
 
 /// What one worker says of one video, whatever else is in the corpus.
@@ -151,6 +167,8 @@ pub struct Measurement {
     pub reproj_px: Option<f64>,
     /// How `reproj_px` was found.
     pub reproj_method: Option<GeometryMethod>,
+    /// What no rigid layer explains of what moves before the camera, adjacent frames.
+    pub layer_residual_px: Option<f64>,
     /// Forward/backward end-point error, corrected.
     pub aepe_px: Option<f64>,
     /// s_p: forward/backward end-point error exactly as WorldScore computes it.
@@ -211,6 +229,7 @@ impl Measurement {
             motion_px: None,
             reproj_px: None,
             reproj_method: None,
+            layer_residual_px: None,
             aepe_px: None,
             aepe_worldscore_px: None,
             occluded_fraction: None,

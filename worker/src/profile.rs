@@ -3,7 +3,7 @@
 use plumbline_vision::consistency::ConsistencyParams;
 use plumbline_vision::faults::{FaultParams, FaultThresholds};
 use plumbline_vision::flow::dis::DisParams;
-use plumbline_vision::scene::{GridParams, TwoViewParams};
+use plumbline_vision::scene::{GridParams, LayerParams, TwoViewParams};
 use plumbline_vision::signals::SignalParams;
 use plumbline_vision::signals::arc::{ArcParams, ArcSelectorParams};
 use plumbline_vision::signals::contact::ContactParams;
@@ -13,7 +13,7 @@ use crate::decode::DecodeLimits;
 
 /// Raised whenever the same parameters begin to give other numbers, so that old results are not
 /// taken for new ones.
-pub const MEASURE_VERSION: u32 = 3;
+pub const MEASURE_VERSION: u32 = 4;
 
 /// A rung of the speed/accuracy ladder (design, section 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -71,6 +71,8 @@ pub struct Profile {
     pub grid: GridParams,
     /// Motion models and their selection.
     pub two_view: TwoViewParams,
+    /// Rigid layers of what moves before the camera.
+    pub layers: LayerParams,
     /// Leading frames left out of every statistic: frame 0 of a generated rollout is often the real
     /// conditioning frame.
     pub conditioning_frames: u32,
@@ -98,6 +100,14 @@ pub struct VerdictParams {
     pub min_moving_pairs: u32,
     /// A pair with a smaller share of consistent correspondences is `collapsed`.
     pub min_consistent_fraction: f64,
+    /// And so is one in which a smaller share of the structured cells corresponds.
+    pub min_corresponding_fraction: f64,
+    /// Structure in a smaller share of the cells is too little to tell by.
+    pub min_structured_fraction: f64,
+    /// A frame is broken, and the clip `collapsed`, above this V: it differs from both neighbours, which
+    /// agree across it, in as much as this share of the picture. The signals of a recipe are medians, to
+    /// which one frame is nothing; the largest V of 60 clean clips is 0.11 (`tests/benches/corruption.sh`).
+    pub max_bad_frame: f64,
 }
 
 impl Default for VerdictParams {
@@ -107,6 +117,9 @@ impl Default for VerdictParams {
             min_moving_fraction: 0.006,
             min_moving_pairs: 3,
             min_consistent_fraction: 0.05,
+            min_corresponding_fraction: 0.05,
+            min_structured_fraction: 0.01,
+            max_bad_frame: 0.15,
         }
     }
 }
@@ -140,6 +153,7 @@ impl Profile {
                 step: working_height_px as usize / 32,
             },
             two_view: TwoViewParams::default(),
+            layers: LayerParams::default(),
             conditioning_frames: 1,
             warmup_frames: 7,
             sequence_fps: 10.0,

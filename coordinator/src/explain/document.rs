@@ -47,6 +47,7 @@ impl Story<'_> {
                 "frame": frame,
                 "time_s": self.time_s(frame as usize),
                 "jump_px": row.max_jump,
+                "signed_jump_px": row.series.reproj_jump_px(frame),
                 "reliable": row.peak_reliable,
             })),
             "worst_end_point_error": self.plan.worst_pair.map(|(frame, aepe_px)| json!({
@@ -175,7 +176,18 @@ pub(super) fn summary(explained: &Explained) -> Vec<String> {
             Some(true) => "",
             _ => ", which does not stand out",
         };
-        lines.push(format!("paper's peak: {}{reliable}", at(frame as usize)));
+        // The published rule takes either direction; only one of them is an artifact.
+        let falls = row
+            .series
+            .reproj_jump_px(frame)
+            .is_some_and(|jump| jump < 0.0);
+        let falls = if falls {
+            ", where the residual falls"
+        } else {
+            ""
+        };
+        let frame = at(frame as usize);
+        lines.push(format!("paper's peak: {frame}{reliable}{falls}"));
     }
     match (&row.fault_frames, explained.faults.len()) {
         (None, _) if row.frames.is_some() => {

@@ -22,12 +22,6 @@ impl Table<'_> {
         *series.get(place as usize)?
     }
 
-    /// j_t with its sign: e_t − e_{t−1}.
-    fn jump_px(&self, frame: u32) -> Option<f64> {
-        let e = &self.measured.series.reproj_px;
-        Some(self.at(e, frame)? - self.at(e, frame.checked_sub(1)?)?)
-    }
-
     fn score(&self, kind: FaultKind, frame: u32) -> Option<f64> {
         let points = self.faults.points(kind);
         let place = points.binary_search_by_key(&(frame as usize), |point| point.frame);
@@ -41,10 +35,11 @@ impl Table<'_> {
     /// `series.csv`: numbers in full, so that reading them back gives the same bits.
     pub(super) fn csv(&self) -> Vec<u8> {
         let series = &self.measured.series;
-        let columns: [(&str, &[Option<f64>]); 9] = [
+        let columns: [(&str, &[Option<f64>]); 10] = [
             ("aepe_px", &series.aepe_px),
             ("aepe_worldscore_px", &series.aepe_worldscore_px),
             ("reproj_px", &series.reproj_px),
+            ("layer_residual_px", &series.layer_residual_px),
             ("motion_px", &series.motion_px),
             ("piecewise_residual", &series.piecewise_residual),
             ("appearance_ratio", &series.appearance_ratio),
@@ -68,7 +63,7 @@ impl Table<'_> {
         for frame in self.frames() {
             let mut cells = vec![frame.to_string(), self.times_s[frame as usize].to_string()];
             cells.extend(columns.map(|(_, series)| cell(self.at(series, frame))));
-            cells.insert(5, cell(self.jump_px(frame)));
+            cells.insert(5, cell(series.reproj_jump_px(frame)));
             for kind in FaultKind::ALL {
                 let (score, threshold) = (self.score(kind, frame), self.thresholds.of(kind));
                 let flag = score

@@ -55,6 +55,9 @@ fn measured() -> Vec<Column<Row>> {
         Column::field("reproj_method", Text, |r| {
             r.measured.reproj_method.map(method_name).into()
         }),
+        Column::field("layer_residual_px", Float64, |r| {
+            r.measured.layer_residual_px.into()
+        }),
         Column::field("aepe_px", Float64, |r| r.measured.aepe_px.into()),
         Column::field("aepe_worldscore_px", Float64, |r| {
             r.measured.aepe_worldscore_px.into()
@@ -163,7 +166,8 @@ mod tests {
 
     /// Design section 7, as far as this version measures it.
     const DOCUMENTED: &str = "video, group, status, status_reason, digest, bytes, frames, fps, \
-        width, height, duration_s, scene, motion_px, reproj_px, reproj_method, aepe_px, \
+        width, height, duration_s, scene, motion_px, reproj_px, reproj_method, \
+        layer_residual_px, aepe_px, \
         aepe_worldscore_px, occluded_fraction, piecewise_residual, appearance_ratio, \
         layer_acceleration, layer_acceleration_q25, interior_shear, detail_change, detail_change_q25, \
         contact, \

@@ -21,11 +21,12 @@ pub fn reject_non_finite(measured: &mut Measurement) -> bool {
 }
 
 /// The columns of a row that are looked at, in the order in which the first is named.
-pub const CHECKED_COLUMNS: [&str; 17] = [
+pub const CHECKED_COLUMNS: [&str; 18] = [
     "fps",
     "duration_s",
     "motion_px",
     "reproj_px",
+    "layer_residual_px",
     "aepe_px",
     "aepe_worldscore_px",
     "occluded_fraction",
@@ -69,6 +70,7 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         motion_px,
         reproj_px,
         reproj_method: _,
+        layer_residual_px,
         aepe_px,
         aepe_worldscore_px,
         occluded_fraction,
@@ -95,6 +97,7 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         aepe_worldscore_px: series_aepe_worldscore_px,
         reproj_px: series_reproj_px,
         reproj_cells: _,
+        layer_residual_px: series_layer_residual_px,
         piecewise_residual: series_piecewise_residual,
         appearance_ratio: series_appearance_ratio,
         motion_px: series_motion_px,
@@ -104,11 +107,12 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         detail_change: series_detail_change,
         detail_change_q25: series_detail_change_q25,
     } = series;
-    let columns: [(&str, &mut [Option<f64>]); 28] = [
+    let columns: [(&str, &mut [Option<f64>]); 30] = [
         ("fps", std::slice::from_mut(fps)),
         ("duration_s", std::slice::from_mut(duration_s)),
         ("motion_px", std::slice::from_mut(motion_px)),
         ("reproj_px", std::slice::from_mut(reproj_px)),
+        ("layer_residual_px", std::slice::from_mut(layer_residual_px)),
         ("aepe_px", std::slice::from_mut(aepe_px)),
         (
             "aepe_worldscore_px",
@@ -137,6 +141,7 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         ("series.aepe_px", series_aepe_px),
         ("series.aepe_worldscore_px", series_aepe_worldscore_px),
         ("series.reproj_px", series_reproj_px),
+        ("series.layer_residual_px", series_layer_residual_px),
         ("series.piecewise_residual", series_piecewise_residual),
         ("series.appearance_ratio", series_appearance_ratio),
         ("series.motion_px", series_motion_px),

@@ -13,6 +13,7 @@ COLUMNS = {
     "aepe_worldscore_px": "aepe_worldscore_px",
     "aepe_px": "aepe_px",
     "reproj_px": "reproj_px",
+    "layer_residual_px": "layer_residual_px",
     "piecewise_residual": "P",
     "appearance_ratio": "T",
     "layer_acceleration": "accs",

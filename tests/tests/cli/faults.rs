@@ -36,7 +36,8 @@ fn faults_are_published_at_their_frame_and_clean_twins_have_none() {
         );
     }
     let mut standard = place.score(&["videos", "--out", "out"]);
-    Started::start(&mut standard).wait().expect_code(0);
+    // The blurred frame is broken as a whole: that clip has no score.
+    Started::start(&mut standard).wait().expect_code(3);
     let published = place.published("out");
     for (kind, detector) in expected {
         let clip = faulty(kind);
@@ -47,6 +48,9 @@ fn faults_are_published_at_their_frame_and_clean_twins_have_none() {
         assert!(frame.abs_diff(truth) <= TOLERANCE_FRAMES, "{row:?}");
         assert_eq!(row["fault_kinds"][0], detector, "{row:?}");
         assert_eq!(row["peak_frame"], frame);
+        let broken = kind == FaultKind::BlurFrame;
+        let status = if broken { "collapsed" } else { "scored" };
+        assert_eq!(row["status"], status, "{row:?}");
         let twin = published.row(&format!("{}.mp4", clip.clean_twin().name));
         assert_eq!(
             twin["fault_frames"].as_array().unwrap().len(),

@@ -10,13 +10,15 @@ use std::time::{Duration, Instant};
 use plumbline_common::message::Thumbnails;
 use plumbline_common::row::{Measurement, Scene, Status};
 use plumbline_vision::consistency::{
-    EndPointError, Evidence, GridFlow, NormalisedFrame, worldscore_epe,
+    EndPointError, Evidence, GridFlow, NormalisedFrame, Structure, worldscore_epe,
 };
 use plumbline_vision::faults::{ChangePair, FaultKind, FaultSeries};
 use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
 use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
-use plumbline_vision::scene::{EdgeInput, RigidSolver, SceneError, TwoViewSolver, sample_grid};
+use plumbline_vision::scene::{
+    EdgeInput, RigidSolver, SceneError, TwoViewSolver, clip_layers, sample_grid,
+};
 use plumbline_vision::signals::PairSignals;
 
 use super::fill;
@@ -79,6 +81,8 @@ struct Pair {
     /// Index of the later frame.
     frame: u32,
     signals: PairSignals,
+    /// Share of the structured cells that correspond; `None` with too little structure.
+    corresponding_fraction: Option<f64>,
 }
 
 /// The worst pair so far, for the report's pictures.
@@ -95,6 +99,8 @@ pub(super) struct Edge {
     backward: Flow,
     end_point: EndPointError,
     pub(super) change: ChangePair,
+    /// Of the earlier frame in the later, and the other way.
+    structure: [Structure; 2],
 }
 
 /// A clip being measured.
@@ -254,6 +260,10 @@ impl<'a> Clip<'a> {
             evidence(&ahead, &back, earlier, later)?,
             evidence(&back, &ahead, later, earlier)?,
         );
+        let structure = [
+            Structure::new(&change.forward, &earlier.normalised).map_err(&error)?,
+            Structure::new(&change.backward, &later.normalised).map_err(&error)?,
+        ];
         self.spent.signals += started.elapsed();
         Ok(Edge {
             from: earlier.index,
@@ -261,6 +271,7 @@ impl<'a> Clip<'a> {
             backward,
             end_point,
             change,
+            structure,
         })
     }
 
@@ -336,6 +347,10 @@ impl<'a> Clip<'a> {
         self.pairs.push(Pair {
             frame: later.index,
             signals,
+            corresponding_fraction: Structure::corresponding_fraction(
+                edge.structure,
+                self.profile.verdict.min_structured_fraction,
+            ),
         });
         self.spent.signals += started.elapsed();
         Ok(())
@@ -377,10 +392,11 @@ impl<'a> Clip<'a> {
             (Some(solver), _) => solver.finish(),
             (None, problem) => Err(problem.unwrap_or(SceneError::NoEdges)),
         };
+        let layers = geometry.as_ref().ok().map(|geometry| {
+            clip_layers(geometry, &self.profile.two_view.gric, &self.profile.layers)
+        });
         self.spent.geometry += started.elapsed();
-        let (status, status_reason) = self.verdict();
-        let mut row = Measurement::without_score(status, "");
-        row.status_reason = status_reason;
+        let mut row = Measurement::without_score(Status::Scored, "");
         row.frames = Some(info.frames);
         row.fps = info.fps;
         row.width = Some(info.width);
@@ -395,12 +411,16 @@ impl<'a> Clip<'a> {
         if let Ok(geometry) = &geometry {
             fill::geometric(&mut row, geometry, self.profile.warmup_frames);
         }
+        if let Some(Ok(layers)) = &layers {
+            fill::layers(&mut row, layers);
+        }
         let static_camera = row.scene == Some(Scene::StaticCamera);
         if let Some(observers) = self.observers.take().filter(|_| !pairs.is_empty()) {
             let observed = observers.finish(static_camera);
             fill::observed(&mut row, &observed);
             self.faults = observed.faults;
         }
+        (row.status, row.status_reason) = self.verdict();
         if row.status == Status::Scored && row.reproj_px.is_none() && row.aepe_px.is_none() {
             row.status = Status::Failed;
             row.status_reason = Some("no frame pair could be measured".into());
@@ -429,8 +449,15 @@ impl<'a> Clip<'a> {
                 moving_fraction: pair.signals.moving_fraction.unwrap_or(0.0),
                 consistent_fraction: pair.signals.in_frame_fraction
                     * (1.0 - pair.signals.occluded_fraction.unwrap_or(1.0)),
+                corresponding_fraction: pair.corresponding_fraction,
             })
             .collect();
-        verdict(self.usable_frames, &evidence, &self.profile.verdict)
+        let bad_frames = self.faults.points(FaultKind::BadFrame);
+        verdict(
+            self.usable_frames,
+            &evidence,
+            bad_frames,
+            &self.profile.verdict,
+        )
     }
 }

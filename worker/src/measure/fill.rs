@@ -1,7 +1,7 @@
 //! From what was measured to the columns of the row.
 
 use plumbline_common::row::{GeometryMethod, Measurement, Scene, Series};
-use plumbline_vision::scene::{ClipGeometry, SceneKind};
+use plumbline_vision::scene::{ClipGeometry, ClipLayers, SceneKind};
 use plumbline_vision::signals::arc::ArcStep;
 use plumbline_vision::signals::{PairSignals, median};
 
@@ -23,6 +23,7 @@ pub(super) fn photometric(row: &mut Measurement, pairs: &[(u32, &PairSignals)]) 
         aepe_worldscore_px: series(|signals| signals.aepe_worldscore_px),
         reproj_px: undefined.clone(),
         reproj_cells: vec![0; pairs.len()],
+        layer_residual_px: undefined.clone(),
         piecewise_residual: series(|signals| signals.piecewise_residual),
         appearance_ratio: series(|signals| signals.appearance_ratio),
         motion_px: series(|signals| signals.motion_px),
@@ -62,6 +63,16 @@ pub(super) fn geometric(row: &mut Measurement, geometry: &ClipGeometry, warmup_f
     row.max_jump = assessment.max_jump;
     row.paper_peak_frame = assessment.peak_frame;
     row.peak_reliable = assessment.peak_reliable;
+}
+
+/// Fills in what rigid layers leave.
+pub(super) fn layers(row: &mut Measurement, layers: &ClipLayers) {
+    row.layer_residual_px = layers.residual_px;
+    for &(frame, residual_px) in &layers.series {
+        if let Some(place) = place(row, frame) {
+            row.series.layer_residual_px[place] = Some(residual_px);
+        }
+    }
 }
 
 /// Fills in faults, contact and the signals on steps of constant visual motion.

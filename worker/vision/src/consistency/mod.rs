@@ -8,10 +8,12 @@
 mod end_point;
 mod evidence;
 mod look_up;
+mod structure;
 mod worldscore;
 
 pub use end_point::EndPointError;
 pub use evidence::{Evidence, GridFlow, NormalisedFrame};
+pub use structure::Structure;
 pub use worldscore::{WorldscoreEpe, worldscore_epe};
 
 use serde::{Deserialize, Serialize};

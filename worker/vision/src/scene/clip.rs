@@ -6,6 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::correspondence::Correspondence;
 use super::evidence::{Method, ModelEvidence, ModelFit, MotionModel, PerModel, SceneKind};
 
 /// What the models leave unexplained on one frame pair.
@@ -21,6 +22,8 @@ pub struct EdgeGeometry {
     pub rows: usize,
     /// Row-major index of each valid cell; `n` is their number.
     pub cells: Vec<u32>,
+    /// Where each of those cells is in the target, and what it weighs.
+    pub correspondences: Vec<Correspondence>,
     /// Sum of the cells' weights.
     pub weight: f64,
     /// The model of least GRIC for this edge alone (the clip may decide otherwise).

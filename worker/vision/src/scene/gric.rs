@@ -85,6 +85,14 @@ impl GricParams {
         }
     }
 
+    /// The distance at which an error of `model` stops to count, px: of a transfer error (static,
+    /// homography) or a Sampson error (rigid).
+    #[must_use]
+    pub fn cap_px(&self, model: MotionModel) -> f64 {
+        let loss = self.loss(model);
+        (loss.cap / loss.per_square).sqrt()
+    }
+
     /// `λ1 d n + λ2 k`: what `model` costs before any error, and so the least its GRIC can be.
     #[must_use]
     pub fn penalty(&self, model: MotionModel, n: f64) -> f64 {
@@ -159,6 +167,8 @@ mod tests {
             }
         );
         assert_eq!(gric.loss(MotionModel::Static).of(1.0), 2.0);
+        close(gric.cap_px(MotionModel::Static), 8.0_f64.sqrt() * 0.5);
+        close(gric.cap_px(MotionModel::Rigid), 2.0_f64.sqrt() * 0.5);
         assert_eq!(gric.loss(MotionModel::Static).of(f64::MAX), 4.0);
     }
 

@@ -68,9 +68,9 @@ pub(super) fn outliers(points: &PointSet, model: &Matrix3<f64>, loss: Loss) -> V
         .collect()
 }
 
-struct HomographyProblem<'a> {
-    points: &'a PointSet,
-    loss: Loss,
+pub(super) struct HomographyProblem<'a> {
+    pub(super) points: &'a PointSet,
+    pub(super) loss: Loss,
 }
 
 fn rows(m: &Matrix3<f64>) -> [f64; 9] {

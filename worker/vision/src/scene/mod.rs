@@ -4,18 +4,21 @@
 //! dear: a static camera, a homography ([`homography`]), a rigid scene with a free depth per point
 //! ([`fundamental`]). GRIC ([`gric`], Torr 1998) picks the cheapest sufficient one per edge and
 //! per clip; a model that provably cannot win is not fitted. [`solver`] is the seam: another
-//! [`RigidSolver`] (dense bundle adjustment) hands back the same [`ClipGeometry`].
+//! [`RigidSolver`] (dense bundle adjustment) hands back the same [`ClipGeometry`]. What the clip's model
+//! leaves is split into rigid [`layers`].
 //!
 //! Units: all pixels are those of a 256-px-high picture, origin at its top-left corner. Residuals
 //! are distances in the *target* picture. What may fail is [`SceneError`] (the input) and
 //! [`FitError`] (one model on one edge).
 
+mod affine;
 pub mod clip;
 pub mod correspondence;
 pub mod evidence;
 pub mod fundamental;
 pub mod gric;
 pub mod homography;
+pub mod layers;
 mod linear;
 mod points;
 pub mod ransac;
@@ -33,6 +36,7 @@ pub use evidence::{
     Method, ModelEvidence, ModelFit, MotionEstimate, MotionModel, PerModel, SceneKind,
 };
 pub use gric::GricParams;
+pub use layers::{ClipLayers, LayerParams, clip_layers};
 pub use ransac::RansacParams;
 pub use solver::{EdgeInput, RigidSolver, TwoViewParams, TwoViewSolver};
 

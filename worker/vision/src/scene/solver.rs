@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SceneError;
 use super::clip::{ClipGeometry, EdgeGeometry, Work};
-use super::correspondence::{Correspondence, CorrespondenceField};
+use super::correspondence::CorrespondenceField;
 use super::evidence::{Method, ModelEvidence, MotionModel, PerModel};
 use super::gric::GricParams;
 use super::ransac::RansacParams;
@@ -80,8 +80,6 @@ impl Default for TwoViewParams {
 pub struct TwoViewSolver {
     params: TwoViewParams,
     edges: Vec<EdgeGeometry>,
-    /// Each edge's points, kept for models that only the clip's verdict asks for.
-    correspondences: Vec<Vec<Correspondence>>,
     edges_rejected: usize,
 }
 
@@ -99,7 +97,6 @@ impl TwoViewSolver {
         Ok(Self {
             params,
             edges: Vec::new(),
-            correspondences: Vec::new(),
             edges_rejected: 0,
         })
     }
@@ -120,10 +117,10 @@ impl TwoViewSolver {
 
     /// Fits `model` on the edges that lack it.
     fn complete(&mut self, model: MotionModel) {
-        for (edge, correspondences) in self.edges.iter_mut().zip(&self.correspondences) {
+        for edge in &mut self.edges {
             if matches!(edge.evidence.get(model), ModelEvidence::Skipped { .. }) {
                 let mut view = TwoView::new(
-                    correspondences,
+                    &edge.correspondences,
                     edge.from_frame,
                     edge.to_frame,
                     &self.params,
@@ -209,13 +206,13 @@ impl RigidSolver for TwoViewSolver {
             columns: field.columns,
             rows: field.rows,
             cells: field.cells,
+            correspondences: field.correspondences,
             weight,
             model,
             residual_px,
             inlier_fraction,
             evidence,
         });
-        self.correspondences.push(field.correspondences);
         Ok(())
     }
 
