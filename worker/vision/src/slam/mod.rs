@@ -10,9 +10,13 @@
 pub mod bundle;
 pub mod camera;
 pub mod distance;
+pub mod flow_operator;
 pub mod graph;
+pub mod intrinsics;
 pub mod keyframes;
 mod lanes;
 pub mod operator;
 pub mod reference;
 pub mod se3;
+pub mod tracker;
+pub mod trajectory;

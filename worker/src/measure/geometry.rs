@@ -1,0 +1,159 @@
+//! The geometric measure under parallax: dense adjustment of the clip, where two-view models say that it
+//! is needed and its own Hessian says that depth is observable.
+//!
+//! The flows of every edge are sampled to the grid at once, both ways (16 bytes a cell), and thrown away;
+//! all frames are keyframes. A static or turning camera costs this sampling and nothing more. Clips of
+//! more than [`MOST_CELLS`] depths keep the two-view models, and `reproj_method` says so.
+
+use plumbline_vision::flow::Flow;
+use plumbline_vision::scene::{
+    AdjustedEdge, ClipGeometry, MotionModel, RigidSolver, SceneError, TwoViewSolver,
+};
+use plumbline_vision::slam::camera::Pinhole;
+use plumbline_vision::slam::flow_operator::{FlowOperatorError, grid_of, sample_flow};
+use plumbline_vision::slam::intrinsics::Intrinsics;
+use plumbline_vision::slam::tracker::{
+    EdgeResidual, FlowEdge, FlowGraph, MOST_CELLS, Solution, TrackError, solve,
+};
+
+use crate::profile::Profile;
+
+/// A clip's correspondences while it streams by.
+#[derive(Default)]
+pub(super) struct DenseGraph {
+    graph: Option<FlowGraph>,
+    /// Columns and rows of the pictures: as decoded, as worked on.
+    sizes: [(usize, usize); 2],
+    too_long: bool,
+}
+
+/// What the dense adjustment did, for the costs.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct DenseWork {
+    pub(super) steps: usize,
+    pub(super) depth_cells: usize,
+    pub(super) depth_cells_saved: usize,
+}
+
+impl DenseGraph {
+    /// Takes the size of the clip's frames.
+    pub(super) fn sized(&mut self, video: (usize, usize), working: (usize, usize)) {
+        self.sizes = [video, working];
+    }
+
+    /// Takes an edge, earlier to later frame, and its way back.
+    pub(super) fn edge(
+        &mut self,
+        from: u32,
+        to: u32,
+        [forward, backward]: [&Flow; 2],
+        step: usize,
+    ) -> Result<(), FlowOperatorError> {
+        if self.too_long {
+            return Ok(());
+        }
+        let grid = grid_of(forward.width, forward.height, step);
+        let graph = self.graph.get_or_insert_with(|| FlowGraph::new(grid));
+        let [source, target] = [from, to].map(|frame| slot(graph, frame as usize));
+        if graph.frames.len() * grid.cells() > MOST_CELLS {
+            self.too_long = true;
+            graph.edges.clear();
+            return Ok(());
+        }
+        for (source, target, there, back) in [
+            (source, target, forward, backward),
+            (target, source, backward, forward),
+        ] {
+            graph.edges.push(FlowEdge {
+                source,
+                target,
+                answer: sample_flow(there, back, step)?,
+            });
+        }
+        Ok(())
+    }
+
+    /// The clip's geometry: by the cheapest model that is sufficient.
+    pub(super) fn settle(
+        self,
+        mut solver: TwoViewSolver,
+        profile: &Profile,
+    ) -> Result<(ClipGeometry, DenseWork), SceneError> {
+        let verdict = solver.verdict();
+        let cells = self
+            .graph
+            .as_ref()
+            .map_or(0, |graph| graph.frames.len() * graph.grid.cells());
+        let saved = DenseWork {
+            depth_cells_saved: cells,
+            ..DenseWork::default()
+        };
+        if verdict != MotionModel::Rigid && !profile.force_adjustment {
+            return Ok((solver.finish()?, saved));
+        }
+        let graph = match self.graph {
+            Some(graph) if !self.too_long => graph,
+            _ => return Ok((solver.finish()?, saved)),
+        };
+        match adjusted(&graph, camera(profile, self.sizes), profile) {
+            Ok((solution, fraction)) => {
+                let work = DenseWork {
+                    steps: solution.effort.steps,
+                    depth_cells: solution.effort.depth_cells,
+                    depth_cells_saved: 0,
+                };
+                let observable = fraction >= profile.tracking.least_observable;
+                if !observable && !profile.force_adjustment {
+                    // Depth there is none to know: one homography per pair is what is left of the models.
+                    return Ok((solver.finish_under(MotionModel::Homography)?, work));
+                }
+                let edges = solution.residuals.iter().map(|r| edge_of(&graph, r));
+                Ok((solver.finish()?.adjusted(edges.collect()), work))
+            }
+            Err(error) => {
+                tracing::warn!(%error, "no dense adjustment; the two-view residual stands");
+                Ok((solver.finish()?, saved))
+            }
+        }
+    }
+}
+
+/// The slot of a frame; edges come in the order of their later frame, so that new frames are last.
+fn slot(graph: &mut FlowGraph, frame: usize) -> usize {
+    match graph.frames.binary_search(&frame) {
+        Ok(slot) => slot,
+        Err(slot) => {
+            graph.frames.insert(slot, frame);
+            slot
+        }
+    }
+}
+
+fn camera(profile: &Profile, [video, working]: [(usize, usize); 2]) -> Pinhole {
+    let prior = || Intrinsics::prior(video.0, video.1);
+    let intrinsics = profile.intrinsics.unwrap_or_else(prior);
+    intrinsics.on_grid(video, working, profile.grid.step)
+}
+
+/// The solved map, and the share of its depths that are observable.
+fn adjusted(
+    graph: &FlowGraph,
+    camera: Pinhole,
+    profile: &Profile,
+) -> Result<(Solution, f64), TrackError> {
+    let solution = solve(graph, camera, &profile.tracking)?;
+    let known = solution.observability(graph, &profile.tracking)?;
+    Ok((solution, known.fraction()))
+}
+
+fn edge_of(graph: &FlowGraph, residual: &EdgeResidual) -> AdjustedEdge {
+    AdjustedEdge {
+        from_frame: graph.frames[residual.source],
+        to_frame: graph.frames[residual.target],
+        columns: graph.grid.columns,
+        rows: graph.grid.rows,
+        sum_px: residual.sum_px,
+        cells: residual.cells,
+        map_px: residual.map_px.clone(),
+    }
+}
