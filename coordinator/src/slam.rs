@@ -206,13 +206,13 @@ fn story(tracked: &Tracked) -> String {
     let keyframes = tracked.keyframes.len();
     match tracked.depth {
         DepthVerdict::Estimated => format!(
-            "parallax: {frames} poses, {keyframes} keyframes with depth, residual {residual} px (of a 256-px-high picture)"
+            "the camera travels: {frames} poses, {keyframes} keyframes with depth, residual {residual} px (of a 256-px-high picture)"
         ),
         DepthVerdict::StaticCamera => format!(
             "static camera: no depth is estimated, all {frames} poses are the same; residual {residual} px"
         ),
         DepthVerdict::Rotation => format!(
-            "the camera turns, or looks at a plane: no depth is estimated, {frames} rotations; residual {residual} px"
+            "the camera turns: no depth is estimated, {frames} rotations; residual {residual} px"
         ),
         DepthVerdict::NotObservable => format!(
             "the flow does not determine any depth: none is given, {frames} rotations; residual {residual} px"

@@ -3,7 +3,8 @@
 //!
 //! Frames stream by; only the pictures of the last few keyframes are kept. When all correspondences are
 //! there, GRIC says what the camera did: for a camera that stands or turns no depth is estimated. Under
-//! parallax the map is solved, and its own Hessian has the last word on whether depth was observable.
+//! parallax, and where homographies suffice but rotations do not (a camera that travels before a plane),
+//! the map is solved, and its own Hessian has the last word on whether depth was observable.
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
@@ -30,6 +31,9 @@ use crate::measure::read::Input;
 use crate::measure::{MeasureError, refusal, working_picture};
 use crate::profile::Profile;
 
+/// A rotation that leaves more than this many times what a homography leaves does not explain the clip.
+const ROTATION_EXPLAINS: f64 = 2.0;
+
 /// What came of a video.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum SlamOutcome {
@@ -52,9 +56,9 @@ pub enum DepthVerdict {
     Estimated,
     /// The camera stands still: all poses are the identity.
     StaticCamera,
-    /// The camera turns (or looks at a plane): poses are rotations.
+    /// The camera turns: poses are rotations.
     Rotation,
-    /// Two views ask for depth, but the flows do not determine it: poses are rotations.
+    /// The camera seems to travel, but the flows do not determine any depth: poses are rotations.
     NotObservable,
 }
 
@@ -289,7 +293,7 @@ impl<'a> Take<'a> {
 
     fn solved(mut self, info: VideoInfo, graph: &FlowGraph) -> Result<Tracked, Refused> {
         let started = Instant::now();
-        let scene = self.scene(graph)?;
+        let (scene, explained_px) = self.scene(graph)?;
         self.seconds.models = started.elapsed().as_secs_f64();
         let started = Instant::now();
         let params = &self.profile.tracking;
@@ -306,7 +310,23 @@ impl<'a> Take<'a> {
         let camera = |intrinsics: &Intrinsics| intrinsics.on_grid(video, working, step);
         let mut focal = None;
         let mut map = None;
-        if scene == SceneKind::Parallax {
+        let turned = match scene {
+            SceneKind::StaticCamera => None,
+            _ => Some(rotate_only(graph, camera(&intrinsics), params).map_err(failed)?),
+        };
+        // A homography also explains a camera that travels before a plane; a rotation does not.
+        let turns = |turned: &Solution| {
+            let least_px = explained_px.max(params.sigma_px);
+            turned
+                .mean_residual_px()
+                .is_none_or(|px| px <= ROTATION_EXPLAINS * least_px)
+        };
+        let travels = match scene {
+            SceneKind::StaticCamera => false,
+            SceneKind::Rotation => !turned.as_ref().is_some_and(turns),
+            SceneKind::Parallax => true,
+        };
+        if travels {
             let mut found = solve(graph, camera(&intrinsics), params).map_err(failed)?;
             if origin == IntrinsicsOrigin::Prior {
                 let evidence = focal_evidence(graph, &found, params).map_err(failed)?;
@@ -323,23 +343,16 @@ impl<'a> Take<'a> {
         let observable_fraction = map.as_ref().map(|(_, known)| known.fraction());
         let depth = match (scene, observable_fraction) {
             (SceneKind::StaticCamera, _) => DepthVerdict::StaticCamera,
-            (SceneKind::Rotation, _) => DepthVerdict::Rotation,
-            (SceneKind::Parallax, Some(share)) if share >= params.least_observable => {
-                DepthVerdict::Estimated
-            }
-            (SceneKind::Parallax, _) => DepthVerdict::NotObservable,
+            (_, Some(share)) if share >= params.least_observable => DepthVerdict::Estimated,
+            (_, Some(_)) => DepthVerdict::NotObservable,
+            (_, None) => DepthVerdict::Rotation,
         };
-        let (solution, relative_deviation) = match (depth, map) {
-            (DepthVerdict::Estimated, Some((solution, known))) => {
+        let (solution, relative_deviation) = match (map, turned) {
+            (Some((solution, known)), _) if depth == DepthVerdict::Estimated => {
                 (solution, known.relative_deviation)
             }
-            (DepthVerdict::StaticCamera, _) => {
-                (Solution::standing(graph, camera(&intrinsics)), Vec::new())
-            }
-            _ => {
-                let turned = rotate_only(graph, camera(&intrinsics), params).map_err(failed)?;
-                (turned, Vec::new())
-            }
+            (_, Some(turned)) => (turned, Vec::new()),
+            (_, None) => (Solution::standing(graph, camera(&intrinsics)), Vec::new()),
         };
         self.seconds.adjustment = started.elapsed().as_secs_f64();
         let estimated = depth == DepthVerdict::Estimated;
@@ -393,8 +406,9 @@ impl<'a> Take<'a> {
 
     /// What the camera did, by the motion models on the widest pairs: from each keyframe to the last that
     /// it is joined to, since parallax grows with the distance while errors of the flow do not. Where the
-    /// picture hardly moves there are few of them, and the frames between decide.
-    fn scene(&self, graph: &FlowGraph) -> Result<SceneKind, Refused> {
+    /// picture hardly moves there are few of them, and the frames between decide. With what that model
+    /// leaves, px.
+    fn scene(&self, graph: &FlowGraph) -> Result<(SceneKind, f64), Refused> {
         let mut solver = TwoViewSolver::new(self.profile.two_view).map_err(failed)?;
         let step = self.profile.grid.step;
         let last = graph.frames.len() - 1;
@@ -417,7 +431,7 @@ impl<'a> Take<'a> {
             }
         }
         match solver.finish() {
-            Ok(geometry) => Ok(geometry.scene),
+            Ok(geometry) => Ok((geometry.scene, geometry.residual_px)),
             Err(SceneError::NoEdges) => Err((
                 Status::Collapsed,
                 "no frame corresponds to the one before: cuts, or broken frames".into(),

@@ -1,7 +1,7 @@
 //! The suite `cli`: `plumbline score` from end to end, over the built binary and small clips.
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
-//! `faults`: known faults in the published rows. `flow`, `explain`, `heatmaps`, `reference`: the
+//! `faults`: known faults in the published rows. `flow`, `explain`, `heatmaps`, `reference`, `slam`: the
 //! commands and flags of these names. `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
@@ -23,5 +23,6 @@ mod paper;
 mod reduce;
 mod reference;
 mod resume;
+mod slam;
 mod sources;
 mod system;

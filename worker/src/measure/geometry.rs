@@ -157,3 +157,103 @@ fn edge_of(graph: &FlowGraph, residual: &EdgeResidual) -> AdjustedEdge {
         map_px: residual.map_px.clone(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "what cannot be measured fails the test")]
+
+    use plumbline_vision::scene::{EdgeInput, Method, SceneKind};
+
+    use super::*;
+    use crate::profile::Rung;
+
+    const SIDE: usize = 256;
+
+    /// Flow of a relief seen by a camera that moves sideways by `moved` of its unit depth.
+    fn flow(moved: f64) -> Flow {
+        let camera = Intrinsics::prior(SIDE, SIDE);
+        let mut data = Vec::with_capacity(SIDE * SIDE);
+        for at in 0..SIDE * SIDE {
+            let (x, y) = ((at % SIDE) as f64, (at / SIDE) as f64);
+            let inverse_depth = 1.0 + 0.5 * (x / 20.0).sin() * (y / 25.0).cos();
+            data.push([(camera.fx * moved * inverse_depth) as f32, 0.0]);
+        }
+        Flow {
+            width: SIDE,
+            height: SIDE,
+            data,
+        }
+    }
+
+    /// The geometry of six frames, each pair moved by `moved` per frame.
+    fn settled(moved: f64, profile: &Profile) -> (ClipGeometry, DenseWork) {
+        let mut dense = DenseGraph::default();
+        dense.sized((SIDE, SIDE), (SIDE, SIDE));
+        let mut solver = TwoViewSolver::new(profile.two_view).unwrap();
+        let step = profile.grid.step;
+        for to in 1..6u32 {
+            for from in to.saturating_sub(2)..to {
+                let moved = moved * f64::from(to - from);
+                let (there, back) = (flow(moved), flow(-moved));
+                dense.edge(from, to, [&there, &back], step).unwrap();
+                let answer = sample_flow(&there, &back, step).unwrap();
+                let edge = EdgeInput {
+                    from_frame: from as usize,
+                    to_frame: to as usize,
+                    field: answer.field(grid_of(SIDE, SIDE, step), step, SIDE),
+                };
+                solver.edge(edge).unwrap();
+            }
+        }
+        dense.settle(solver, profile).unwrap()
+    }
+
+    #[test]
+    fn parallax_is_adjusted_and_keeps_its_maps() {
+        let (geometry, work) = settled(0.02, &Profile::new(Rung::Standard));
+        assert_eq!(geometry.scene, SceneKind::Parallax);
+        assert_eq!(geometry.method, Method::DenseAdjustment);
+        assert_eq!((work.depth_cells, work.depth_cells_saved), (6 * 1024, 0));
+        // The relief is the same on every frame's own grid, where a true one would shift by 4 px of a
+        // wavelength of 126: that is what is left.
+        assert!(geometry.residual_px < 0.5, "{}", geometry.residual_px);
+        let frames: Vec<usize> = geometry.series.iter().map(|e| e.frame).collect();
+        assert_eq!(frames, [1, 2, 3, 4, 5]);
+        let worst = geometry.worst_edge(5).unwrap();
+        let of_frame = geometry
+            .adjusted
+            .iter()
+            .filter(|e| e.from_frame.max(e.to_frame) == 5);
+        assert!(of_frame.clone().all(|e| e.mean_px() <= worst.mean_px()));
+        assert_eq!(of_frame.count(), 4);
+        let shown = worst.map_px.iter().flatten().count();
+        assert_eq!((worst.map_px.len(), shown), (1024, worst.cells));
+    }
+
+    #[test]
+    fn a_static_camera_is_not_adjusted_unless_forced() {
+        let mut profile = Profile::new(Rung::Standard);
+        let (geometry, work) = settled(0.0, &profile);
+        assert_eq!(geometry.method, Method::TwoViewGric);
+        assert_eq!(work.depth_cells_saved, 6 * 1024);
+        assert_eq!((work.depth_cells, work.steps), (0, 0));
+        assert_eq!(geometry.worst_edge(3).unwrap().mean_px(), Some(0.0));
+        profile.force_adjustment = true;
+        let (forced, work) = settled(0.0, &profile);
+        assert_eq!(forced.method, Method::DenseAdjustment);
+        assert_eq!(work.depth_cells, 6 * 1024);
+        // Nothing moves, so that nothing is left by any model.
+        assert!(forced.residual_px < 1e-3, "{}", forced.residual_px);
+    }
+
+    #[test]
+    fn where_the_gate_finds_no_depth_a_homography_is_left() {
+        let mut profile = Profile::new(Rung::Standard);
+        // More than all of the cells cannot be observable.
+        profile.tracking.least_observable = 1.1;
+        let (geometry, work) = settled(0.02, &profile);
+        assert_eq!(geometry.scene, SceneKind::Rotation);
+        assert_eq!(geometry.method, Method::TwoViewGric);
+        assert!(work.steps > 0);
+    }
+}

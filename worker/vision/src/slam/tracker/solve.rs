@@ -11,6 +11,9 @@ use crate::slam::se3::Se3;
 /// Inverse depth before anything is known; the scale is free.
 const INITIAL_INVERSE_DEPTH: f64 = 1.0;
 
+/// Least inverse depth of an inverted relief, as a share of the middle one.
+const LEAST_INVERTED: f64 = 0.1;
+
 /// What it took.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Effort {
@@ -185,10 +188,40 @@ impl<'a> Map<'a> {
             };
             let edges = self.edges_of(first_free, slot + 1);
             let weights = self.weights(&edges, slot + 1 > warmup);
-            self.adjust(&edges, &weights, first_free..slot + 1, iterations)?;
+            let report = self.adjust(&edges, &weights, first_free..slot + 1, iterations)?;
+            if slot + 1 == warmup {
+                self.turn_over(&edges, &weights, warmup, report.cost_after);
+            }
         }
         self.normalise_scale();
         Ok(())
+    }
+
+    /// A relief seen from a narrow view is nearly the same as the inverted relief seen from a camera that
+    /// moves the other way (u = f (ω − t d) keeps its values for d → 2 m − d, t → −t, ω → ω − 2 m t), and
+    /// the descent ends in either. The inverted start is tried, too, and the better kept.
+    fn turn_over(&mut self, edges: &[usize], weights: &[Vec<f32>], frames: usize, cost: f64) {
+        if self.motion_only {
+            return;
+        }
+        let found = self.scene.clone();
+        let cells = self.scene.grid.cells();
+        for depths in self.scene.inverse_depths.chunks_exact_mut(cells) {
+            let middle = middle(depths);
+            for d in depths {
+                *d = (2.0 * middle - *d).max(LEAST_INVERTED * middle);
+            }
+        }
+        self.scene.poses.fill(Se3::IDENTITY);
+        self.motion_only = true;
+        let turned = self.adjust(edges, weights, 1..frames, self.params.iterations);
+        self.motion_only = false;
+        let inverted =
+            turned.and_then(|_| self.adjust(edges, weights, 1..frames, self.params.iterations));
+        // An inverted start that cannot be adjusted is no better.
+        if !inverted.is_ok_and(|report| report.cost_after < cost) {
+            self.scene = found;
+        }
     }
 
     /// Appends the next slot.

@@ -58,6 +58,10 @@ fn graph(frames: usize, span: usize, moves: f64) -> FlowGraph {
 }
 
 fn answer(source: usize, target: usize, moves: f64) -> GridAnswer {
+    seen_by(&CAMERA, source, target, moves)
+}
+
+fn seen_by(camera: &Pinhole, source: usize, target: usize, moves: f64) -> GridAnswer {
     let cells = GRID.cells();
     let relative = pose(target, moves).relative_to(&pose(source, moves));
     let mut answer = GridAnswer {
@@ -67,7 +71,7 @@ fn answer(source: usize, target: usize, moves: f64) -> GridAnswer {
     for cell in 0..cells {
         let from = [(cell % GRID.columns) as f64, (cell / GRID.columns) as f64];
         let d = inverse_depth(cell);
-        let (at, _) = project(&CAMERA, &relative, from, d, depth_rule());
+        let (at, _) = project(camera, &relative, from, d, depth_rule());
         answer.at[cell] = at.x as f32;
         answer.at[cells + cell] = at.y as f32;
     }
@@ -114,6 +118,23 @@ fn exact_correspondences_give_poses_and_depths_back() {
 }
 
 #[test]
+fn the_relief_is_not_inverted_where_the_view_is_narrow() {
+    // Views of 22 degrees: the inverted relief fits nearly as well.
+    let narrow = Pinhole {
+        fx: 30.0,
+        fy: 30.0,
+        ..CAMERA
+    };
+    let mut graph = graph(10, 3, 1.0);
+    for edge in &mut graph.edges {
+        edge.answer = seen_by(&narrow, edge.source, edge.target, 1.0);
+    }
+    let solution = solve(&graph, narrow, &exact()).unwrap();
+    let ate = error(&solution, 1.0);
+    assert!(ate.rmse < 1e-3 && ate.rotation_rmse_rad < 1e-3, "{ate:?}");
+}
+
+#[test]
 fn windows_of_bounded_size_are_nearly_as_good() {
     let graph = graph(30, 2, 1.0);
     let windowed = TrackParams {
@@ -129,20 +150,23 @@ fn windows_of_bounded_size_are_nearly_as_good() {
 fn outliers_do_not_move_the_camera() {
     let mut graph = graph(10, 2, 1.0);
     let cells = GRID.cells();
-    // A tenth of the picture moves by itself, two cells per frame pair.
+    // A tenth of the cells swing by themselves, each in its own way, by up to 8 px.
+    let swing = |cell: usize, frame: usize| 0.5 * (1.7 * frame as f32 + cell as f32).sin();
     for edge in &mut graph.edges {
-        let step = edge.target as f32 - edge.source as f32;
         for cell in (0..cells).filter(|cell| cell % 11 == 3) {
-            edge.answer.at[cells + cell] += 2.0 * step;
+            let by = swing(cell, edge.target) - swing(cell, edge.source);
+            edge.answer.at[cell] += by;
+            edge.answer.at[cells + cell] -= by;
         }
     }
-    let robust = error(&solve(&graph, CAMERA, &exact()).unwrap(), 1.0).rmse;
+    let robust = error(&solve(&graph, CAMERA, &exact()).unwrap(), 1.0);
     let plain = TrackParams {
         huber_px: 1e6,
         ..exact()
     };
-    let plain = error(&solve(&graph, CAMERA, &plain).unwrap(), 1.0).rmse;
-    assert!(robust < 0.25 * plain, "{robust} {plain}");
+    let plain = error(&solve(&graph, CAMERA, &plain).unwrap(), 1.0);
+    // Huber's loss bounds the pull of an outlier to that of a residual of 1 px.
+    assert!(robust.rmse < 0.5 * plain.rmse, "{robust:?} {plain:?}");
 }
 
 #[test]
