@@ -71,9 +71,13 @@ pub enum Scene {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GeometryMethod {
-    /// Per-edge model selection by GRIC; under parallax each edge has its own free depth, so the
-    /// value is a lower bound of what a bundle adjustment with shared depth leaves.
+    /// Per-edge model selection by GRIC: a static camera, or one homography per edge. Under parallax only
+    /// where no adjustment was possible: each edge then has its own free depth, so that the value is a
+    /// lower bound of what shared depth leaves.
     TwoViewGric,
+    /// Under parallax: poses and one inverse depth per cell and frame, shared by all its edges, by dense
+    /// bundle adjustment.
+    DenseAdjustment,
 }
 
 /// What to do with a video.
@@ -264,8 +268,17 @@ pub struct Cost {
     pub flow_s: f64,
     /// End-point errors and signals.
     pub signals_s: f64,
-    /// Motion models.
+    /// Motion models and dense adjustment.
     pub geometry_s: f64,
+    /// Steps of the dense adjustment.
+    #[serde(default)]
+    pub adjustment_steps: u64,
+    /// Inverse depths that it estimated.
+    #[serde(default)]
+    pub depth_cells: u64,
+    /// Inverse depths that did not have to be estimated.
+    #[serde(default)]
+    pub depth_cells_saved: u64,
 }
 
 /// The published row: one per input video, in the order of `video`. The field order is the column

@@ -138,6 +138,7 @@ fn file_name(row: &Row, (subject, frame): (Subject, u32)) -> String {
     let subject = match subject {
         Subject::Fault(kind) => kind.as_str(),
         Subject::EndPointError => "end_point_error",
+        Subject::RigidResidual => "rigid_residual",
     };
     let mut hasher = blake3::Hasher::new();
     let frame = frame.to_string();

@@ -8,18 +8,16 @@
 //! t to t + 1), `flow_valid` and `flow_visible` `[T−1, H, W]`, `depth_m` and `body_id` `[T, H, W]`.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Seek, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use npyz::npz::NpzWriter;
-use npyz::{AutoSerialize, WriterBuilder};
 use plumbline_sample::SampleError;
 use plumbline_sample::corpus::ClipSpec;
 use plumbline_sample::truth::FrameTruth;
 use plumbline_vision::image::Rgb8;
 use plumbline_worker::encode::{EncodeError, Mp4Writer};
-use zip::CompressionMethod;
-use zip::write::FileOptions;
+
+use crate::npz::Npz;
 
 /// How much truth is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -196,9 +194,7 @@ fn write_truth(
     frames: &[FrameTruth],
     truth: Truth,
 ) -> io::Result<()> {
-    let mut npz = Npz {
-        zip: NpzWriter::new(BufWriter::new(File::create(path)?)),
-    };
+    let mut npz = Npz::new(BufWriter::new(File::create(path)?));
     let (t, h, w) = (frames.len() as u64, clip.height as u64, clip.width as u64);
     let poses = frames.iter().flat_map(|frame| {
         let pose = &frame.camera_from_world;
@@ -252,32 +248,5 @@ fn write_truth(
                 .flat_map(|frame| frame.body_id.iter().copied()),
         )?;
     }
-    npz.zip.zip_writer().finish()?.flush()
-}
-
-/// An archive of NumPy arrays, deflated.
-struct Npz<W: Write + Seek> {
-    zip: NpzWriter<W>,
-}
-
-impl<W: Write + Seek> Npz<W> {
-    fn array<T: AutoSerialize>(
-        &mut self,
-        name: &str,
-        shape: &[u64],
-        values: impl IntoIterator<Item = T>,
-    ) -> io::Result<()> {
-        // Fastest level: the arrays are hundreds of megabytes raw, and mostly zeros.
-        let options = FileOptions::default()
-            .compression_method(CompressionMethod::Deflated)
-            .compression_level(Some(1));
-        let mut writer = self
-            .zip
-            .array(name, options)?
-            .default_dtype()
-            .shape(shape)
-            .begin_nd()?;
-        writer.extend(values)?;
-        writer.finish()
-    }
+    npz.finish()?.flush()
 }

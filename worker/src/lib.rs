@@ -6,3 +6,4 @@ pub mod encode;
 pub mod explain;
 pub mod measure;
 pub mod profile;
+pub mod slam;

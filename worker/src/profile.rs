@@ -7,6 +7,8 @@ use plumbline_vision::scene::{GridParams, LayerParams, TwoViewParams};
 use plumbline_vision::signals::SignalParams;
 use plumbline_vision::signals::arc::{ArcParams, ArcSelectorParams};
 use plumbline_vision::signals::contact::ContactParams;
+use plumbline_vision::slam::intrinsics::Intrinsics;
+use plumbline_vision::slam::tracker::TrackParams;
 use serde::{Deserialize, Serialize};
 
 use crate::decode::DecodeLimits;
@@ -73,6 +75,12 @@ pub struct Profile {
     pub two_view: TwoViewParams,
     /// Rigid layers of what moves before the camera.
     pub layers: LayerParams,
+    /// Dense adjustment under parallax.
+    pub tracking: TrackParams,
+    /// Adjust every clip, whatever the motion models and the parallax gate say: to see what is saved.
+    pub force_adjustment: bool,
+    /// The camera's intrinsics, px of the videos as decoded; a field-of-view prior without.
+    pub intrinsics: Option<Intrinsics>,
     /// Leading frames left out of every statistic: frame 0 of a generated rollout is often the real
     /// conditioning frame.
     pub conditioning_frames: u32,
@@ -135,6 +143,13 @@ impl Profile {
             Rung::Standard => (256, 1, vec![1, 2], FaultThresholds::STANDARD_RECORDED),
             Rung::Accurate => (512, 0, vec![1, 2, 3], FaultThresholds::UNCALIBRATED),
         };
+        // Keyframes that each is joined to, and where the refinement ends: `accurate` goes on to
+        // convergence.
+        let (span, tolerance) = match rung {
+            Rung::Draft => (2, 1e-2),
+            Rung::Standard => (3, 3e-3),
+            Rung::Accurate => (3, 1e-5),
+        };
         Self {
             measure_version: MEASURE_VERSION,
             rung,
@@ -154,6 +169,13 @@ impl Profile {
             },
             two_view: TwoViewParams::default(),
             layers: LayerParams::default(),
+            tracking: TrackParams {
+                span,
+                tolerance,
+                ..TrackParams::default()
+            },
+            force_adjustment: false,
+            intrinsics: None,
             conditioning_frames: 1,
             warmup_frames: 7,
             sequence_fps: 10.0,
@@ -170,8 +192,8 @@ impl Profile {
         serde_json::to_vec(self)
     }
 
-    /// Digest of what fault scores depend on: everything but thresholds, limits, verdicts, and which
-    /// frames and times count.
+    /// Digest of what fault scores depend on: everything but thresholds, limits, verdicts, the dense
+    /// adjustment, and which frames and times count.
     ///
     /// # Errors
     /// As [`Self::canonical`].
@@ -183,6 +205,9 @@ impl Profile {
             sequence_fps: 0.0,
             limits: DecodeLimits::default(),
             verdict: VerdictParams::default(),
+            tracking: TrackParams::default(),
+            force_adjustment: false,
+            intrinsics: None,
             ..self.clone()
         }
         .digest()

@@ -53,18 +53,23 @@ pub(super) fn run(args: ExplainArgs) -> Result<u8, Failure> {
                 exit::INCOMPLETE
             })
         }
-        Err(error) => Err(Failure {
-            code: match &error {
-                RunError::Interrupted => exit::INTERRUPTED,
-                RunError::Corpus(_)
-                | RunError::NotOne { .. }
-                | RunError::OutInUse { .. }
-                | RunError::ScoresThere { .. }
-                | RunError::Profile(_) => exit::USAGE,
-                _ => exit::STOPPED,
-            },
-            message: error.to_string(),
-        }),
+        Err(error) => Err(failure(&error)),
+    }
+}
+
+/// How a command on one video fails.
+pub(super) fn failure(error: &RunError) -> Failure {
+    Failure {
+        code: match error {
+            RunError::Interrupted => exit::INTERRUPTED,
+            RunError::Corpus(_)
+            | RunError::NotOne { .. }
+            | RunError::OutInUse { .. }
+            | RunError::ScoresThere { .. }
+            | RunError::Profile(_) => exit::USAGE,
+            _ => exit::STOPPED,
+        },
+        message: error.to_string(),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use plumbline_vision::slam::intrinsics::Intrinsics;
 use plumbline_worker::profile::{Profile, Rung};
 
 use super::Failure;
@@ -10,18 +11,28 @@ use crate::fanout::Slots;
 use crate::settings::Settings;
 use crate::thresholds::{self, FaultCalibration};
 
-/// What was typed.
+/// What was typed about statistics, beside how videos are computed.
 #[derive(Debug, Args)]
 pub(super) struct MeasuringArgs {
-    /// Rung of the speed/accuracy ladder
-    #[arg(long, value_enum, default_value = "standard")]
-    profile: RungArg,
+    #[command(flatten)]
+    computing: ComputingArgs,
     /// Leading frames left out of every statistic (frame 0 of a rollout is often a real picture)
     #[arg(long, value_name = "N", default_value_t = 1)]
     conditioning_frames: u32,
     /// Frames up to this index cannot be the paper's peak frame t*
     #[arg(long, value_name = "T", default_value_t = 7)]
     warmup: u32,
+}
+
+/// What was typed about how videos are computed.
+#[derive(Debug, Args)]
+pub(super) struct ComputingArgs {
+    /// Rung of the speed/accuracy ladder
+    #[arg(long, value_enum, default_value = "standard")]
+    profile: RungArg,
+    /// Focal lengths and principal point of the camera, px of the videos as decoded [default: a view of 60 degrees]
+    #[arg(long, value_name = "FX,FY,CX,CY", value_parser = parse_intrinsics)]
+    intrinsics: Option<Intrinsics>,
     /// Frames per second of directories of numbered images
     #[arg(long, value_name = "FPS", default_value_t = 10.0)]
     sequence_fps: f64,
@@ -69,7 +80,32 @@ pub(super) struct Measuring {
     pub(super) slots: Slots,
 }
 
+fn parse_intrinsics(text: &str) -> Result<Intrinsics, String> {
+    let numbers: Option<Vec<f64>> = text
+        .split(',')
+        .map(|word| word.trim().parse().ok())
+        .collect();
+    let intrinsics = match numbers.as_deref() {
+        Some(&[fx, fy, cx, cy]) => Intrinsics { fx, fy, cx, cy },
+        _ => return Err("four numbers are needed: fx,fy,cx,cy".to_owned()),
+    };
+    match intrinsics.is_valid() {
+        true => Ok(intrinsics),
+        false => Err("focal lengths must be above 0 and all numbers finite".to_owned()),
+    }
+}
+
 impl MeasuringArgs {
+    /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
+    pub(super) fn usable(self, jobs: Option<u16>) -> Result<Measuring, Failure> {
+        let mut measuring = self.computing.usable(jobs)?;
+        measuring.profile.conditioning_frames = self.conditioning_frames;
+        measuring.profile.warmup_frames = self.warmup;
+        Ok(measuring)
+    }
+}
+
+impl ComputingArgs {
     /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
     pub(super) fn usable(self, jobs: Option<u16>) -> Result<Measuring, Failure> {
         let mut settings = Settings::load().map_err(Failure::usage)?;
@@ -88,8 +124,7 @@ impl MeasuringArgs {
             RungArg::Standard => Rung::Standard,
             RungArg::Accurate => Rung::Accurate,
         });
-        profile.conditioning_frames = self.conditioning_frames;
-        profile.warmup_frames = self.warmup;
+        profile.intrinsics = self.intrinsics;
         profile.sequence_fps = self.sequence_fps;
         profile.limits = settings.decode;
         let cores = std::thread::available_parallelism().map_or(1, usize::from);

@@ -10,6 +10,7 @@ mod reducing;
 mod reference;
 mod sample;
 mod score;
+mod slam;
 mod summary;
 mod watching;
 
@@ -54,6 +55,7 @@ enum Command {
     Reference(reference::ReferenceArgs),
     Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
+    Slam(slam::SlamArgs),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
     ComputeChild {
@@ -76,6 +78,7 @@ pub fn main() -> ExitCode {
         Command::Reference(args) => reference::run(args),
         Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),
+        Command::Slam(args) => slam::run(args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)
             .map_err(|error| Failure {

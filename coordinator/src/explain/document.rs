@@ -2,9 +2,10 @@
 
 use plumbline_common::row::Measurement;
 use plumbline_vision::faults::{FaultEvent, FaultKind};
+use plumbline_worker::explain::Subject;
 use serde_json::{Value, json};
 
-use super::{ExplainOptions, Explained, Plan};
+use super::{ExplainOptions, Explained, HeatMap, Plan};
 use crate::corpus::Entry;
 
 /// Faults told on the terminal.
@@ -49,12 +50,18 @@ impl Story<'_> {
                 "jump_px": row.max_jump,
                 "signed_jump_px": row.series.reproj_jump_px(frame),
                 "reliable": row.peak_reliable,
+                "worst_edge": self.plan.worst_edge.map(|(from_frame, to_frame, residual_px)| json!({
+                    "from_frame": from_frame,
+                    "to_frame": to_frame,
+                    "residual_px": residual_px,
+                })),
+                "heat_map": self.heat_map(Subject::RigidResidual),
             })),
             "worst_end_point_error": self.plan.worst_pair.map(|(frame, aepe_px)| json!({
                 "frame": frame,
                 "time_s": self.time_s(frame as usize),
                 "aepe_px": aepe_px,
-                "heat_map": self.heat_map(None),
+                "heat_map": self.heat_map(Subject::EndPointError),
             })),
             "faults": self.fault_list(),
             "files": self.files,
@@ -103,13 +110,22 @@ impl Story<'_> {
             "severity": event.severity(),
             "peak_px": region.as_ref().map(|(place, scale)| scale.centre(place.peak)),
             "box_px": region.as_ref().map(|(place, scale)| scale.bounds(place.bounds)),
-            "heat_map": self.heat_map(Some(place)),
+            "heat_map": self.fault_map(place),
         })
     }
 
-    /// The heat map of a fault, or of the worst end-point error; where it was drawn.
-    fn heat_map(&self, fault: Option<usize>) -> Option<&str> {
-        let map = self.plan.heat_maps.iter().find(|map| map.fault == fault)?;
+    /// The heat map of a fault, where it was drawn.
+    fn fault_map(&self, fault: usize) -> Option<&str> {
+        self.drawn(|map| map.fault == Some(fault))
+    }
+
+    /// The heat map of another subject, where it was drawn.
+    fn heat_map(&self, subject: Subject) -> Option<&str> {
+        self.drawn(|map| map.what.0 == subject)
+    }
+
+    fn drawn(&self, is_it: impl Fn(&HeatMap) -> bool) -> Option<&str> {
+        let map = self.plan.heat_maps.iter().find(|map| is_it(map))?;
         self.files.contains(&map.file).then_some(map.file.as_str())
     }
 

@@ -8,11 +8,12 @@ mod document;
 mod series;
 
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use plumbline_common::row::{Measurement, Status};
 use plumbline_vision::faults::{FaultEvent, FaultKind, FaultSeries};
 use plumbline_vision::image::Rgb8;
+use plumbline_vision::scene::AdjustedEdge;
 use plumbline_worker::child::{ComputeSlot, Drawing, SlotError};
 use plumbline_worker::encode::{EncodeError, Mp4Writer};
 use plumbline_worker::explain::{DrawError, DrawJob, Marked, Picture, PictureName, Subject};
@@ -89,7 +90,7 @@ impl Explained {
     }
 }
 
-/// Why nothing was explained.
+/// Why nothing came of a command on one video.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The video is not there.
@@ -134,7 +135,7 @@ pub enum RunError {
     #[error(transparent)]
     Slot(#[from] SlotError),
     /// Ctrl-C or SIGTERM.
-    #[error("interrupted before the explanation was whole; run the same command again")]
+    #[error("interrupted before everything was written; run the same command again")]
     Interrupted,
 }
 
@@ -143,14 +144,7 @@ pub enum RunError {
 /// # Errors
 /// [`RunError`]; `explain.json` is then absent.
 pub async fn explain(options: &ExplainOptions) -> Result<Explained, RunError> {
-    let entry = the_video(options)?;
-    let out_name = || options.out.display().to_string();
-    let out = OutDir::create(&options.out)?;
-    if out.root().join(CORPUS_FILE).exists() {
-        return Err(RunError::ScoresThere { out: out_name() });
-    }
-    let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
-    let _lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse { out: out_name() })?;
+    let Claimed { entry, out, _lease } = claim(&options.video, &options.out)?;
     clear(&out)?;
 
     let mut stop = StopSignals::listen();
@@ -160,13 +154,37 @@ pub async fn explain(options: &ExplainOptions) -> Result<Explained, RunError> {
     }
 }
 
-fn the_video(options: &ExplainOptions) -> Result<Entry, RunError> {
-    let sources = std::slice::from_ref(&options.video);
-    let mut entries = corpus::freeze(sources, None, &options.out)?.entries;
+/// The one video of a command, and the place for its results, which is this run's alone.
+pub(crate) struct Claimed {
+    pub(crate) entry: Entry,
+    pub(crate) out: OutDir,
+    pub(crate) _lease: Lease,
+}
+
+/// Finds the video and takes hold of OUT.
+pub(crate) fn claim(video: &str, out: &Path) -> Result<Claimed, RunError> {
+    let entry = the_video(video, out)?;
+    let out_name = || out.display().to_string();
+    let directory = OutDir::create(out)?;
+    if directory.root().join(CORPUS_FILE).exists() {
+        return Err(RunError::ScoresThere { out: out_name() });
+    }
+    let state = OutDir::create(out.join(STATE_DIRECTORY))?;
+    let lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse { out: out_name() })?;
+    Ok(Claimed {
+        entry,
+        out: directory,
+        _lease: lease,
+    })
+}
+
+fn the_video(video: &str, out: &Path) -> Result<Entry, RunError> {
+    let sources = [video.to_owned()];
+    let mut entries = corpus::freeze(&sources, None, out)?.entries;
     match entries.pop() {
         Some(entry) if entries.is_empty() => Ok(entry),
         _ => Err(RunError::NotOne {
-            source_text: options.video.clone(),
+            source_text: video.to_owned(),
             videos: entries.len() + 1,
         }),
     }
@@ -205,6 +223,7 @@ async fn explain_into(
         outcome,
         times_s,
         faults,
+        worst_edge,
     } = match &job {
         Some(job) => slot.measure_in_detail(job).await?,
         None => unread(entry),
@@ -214,7 +233,7 @@ async fn explain_into(
         Some(_) => faults.events(&options.profile.fault_thresholds),
         None => Vec::new(),
     };
-    let plan = Plan::new(&measured, &events);
+    let plan = Plan::new(&measured, &events, worst_edge.as_ref());
     let mut files = Vec::new();
     let mut undrawn = None;
     if let Some(job) = job.filter(|_| measured.frames.is_some()) {
@@ -285,6 +304,7 @@ fn unread(entry: &Entry) -> Detailed {
         },
         times_s: Vec::new(),
         faults: FaultSeries::default(),
+        worst_edge: None,
     }
 }
 
@@ -296,15 +316,22 @@ struct HeatMap {
     fault: Option<usize>,
 }
 
-/// The heat maps of an explanation: the most severe faults, then the worst end-point error.
+/// The heat maps of an explanation: the most severe faults, the worst end-point error, and the paper's own
+/// (the worst edge of its peak frame).
 struct Plan {
     heat_maps: Vec<HeatMap>,
     /// Frame and mean end-point error of the worst pair.
     worst_pair: Option<(u32, f64)>,
+    /// i*: from frame, to frame, and mean residual of the worst edge of the paper's peak frame.
+    worst_edge: Option<(usize, usize, Option<f64>)>,
 }
 
 impl Plan {
-    fn new(measured: &Measurement, events: &[FaultEvent]) -> Self {
+    fn new(
+        measured: &Measurement,
+        events: &[FaultEvent],
+        worst_edge: Option<&AdjustedEdge>,
+    ) -> Self {
         let has_map = |event: &FaultEvent| event.kind != FaultKind::Freeze;
         let faults = events.iter().enumerate();
         let drawn = faults
@@ -326,9 +353,17 @@ impl Plan {
                 fault: None,
             });
         }
+        if let (Some(edge), Some(peak)) = (worst_edge, measured.paper_peak_frame) {
+            heat_maps.push(HeatMap {
+                what: (Subject::RigidResidual, edge.from_frame as u32),
+                file: picture::heat_map_name(heat_maps.len() + 1, "rigid_residual", peak),
+                fault: None,
+            });
+        }
         Self {
             heat_maps,
             worst_pair,
+            worst_edge: worst_edge.map(|edge| (edge.from_frame, edge.to_frame, edge.mean_px())),
         }
     }
 }

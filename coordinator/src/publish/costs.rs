@@ -5,7 +5,7 @@ use plumbline_common::id::VideoId;
 use plumbline_common::row::Cost;
 
 use crate::publish::table::Column;
-use crate::publish::table::Kind::{Float64, Text, UInt32};
+use crate::publish::table::Kind::{Float64, Text, UInt32, UInt64};
 
 /// What one video's measurement cost.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,6 +30,13 @@ pub fn cost_columns() -> Vec<Column<CostRow>> {
         Column::field("flow_s", Float64, |r| r.cost.flow_s.into()),
         Column::field("signals_s", Float64, |r| r.cost.signals_s.into()),
         Column::field("geometry_s", Float64, |r| r.cost.geometry_s.into()),
+        Column::field("adjustment_steps", UInt64, |r| {
+            r.cost.adjustment_steps.into()
+        }),
+        Column::field("depth_cells", UInt64, |r| r.cost.depth_cells.into()),
+        Column::field("depth_cells_saved", UInt64, |r| {
+            r.cost.depth_cells_saved.into()
+        }),
         Column::field("attempts", UInt32, |r| r.attempts.into()),
         Column::field("worker", Text, |r| r.worker.as_str().into()),
     ]

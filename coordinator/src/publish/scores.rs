@@ -148,6 +148,7 @@ pub fn scene_name(scene: Scene) -> &'static str {
 fn method_name(method: GeometryMethod) -> &'static str {
     match method {
         GeometryMethod::TwoViewGric => "two_view_gric",
+        GeometryMethod::DenseAdjustment => "dense_adjustment",
     }
 }
 
@@ -160,8 +161,9 @@ mod tests {
         for scene in [Scene::StaticCamera, Scene::Rotation, Scene::Parallax] {
             assert_eq!(serde_json::to_value(scene).unwrap(), scene_name(scene));
         }
-        let method = GeometryMethod::TwoViewGric;
-        assert_eq!(serde_json::to_value(method).unwrap(), method_name(method));
+        for method in [GeometryMethod::TwoViewGric, GeometryMethod::DenseAdjustment] {
+            assert_eq!(serde_json::to_value(method).unwrap(), method_name(method));
+        }
     }
 
     /// Design section 7, as far as this version measures it.

@@ -69,6 +69,7 @@ fn full_row(video: &str, carried: Value) -> Row {
             aepe_px: Some(-0.0),
             aepe_worldscore_px: Some(1.0),
             occluded_fraction: Some(0.0),
+            layer_residual_px: Some(0.25),
             piecewise_residual: Some(0.1),
             appearance_ratio: Some(2.0),
             layer_acceleration: Some(0.11),
@@ -456,7 +457,8 @@ fn rewards_and_costs_follow_the_formats() {
     assert_eq!(
         Value::Object(costs[0].clone()),
         json!({"video": "a/1.mp4", "total_s": 1.5, "decode_s": 0.0, "flow_s": 0.0,
-               "signals_s": 0.0, "geometry_s": 0.0, "attempts": 2, "worker": "w1"})
+               "signals_s": 0.0, "geometry_s": 0.0, "adjustment_steps": 0, "depth_cells": 0,
+               "depth_cells_saved": 0, "attempts": 2, "worker": "w1"})
     );
 }
 

@@ -18,6 +18,7 @@ fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> S
             flow_s: 2_600.0,
             signals_s: 300.0,
             geometry_s: 700.0,
+            ..Cost::default()
         },
         attempts: 2,
         worker: "w".to_owned(),

@@ -2,10 +2,10 @@
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
 //! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `evaluate`,
-//! `explain`, `flow`, `heatmaps`, `judge`, `reference`: the commands and flags of these names. `outlier`: one clip that moves the weights.
-//! `trainer_lists`: episodes and shards for trainers. `hostile`: bad videos and bad names. `system`:
-//! permissions, full disks, lost and limited compute processes. `paper`: the published numbers,
-//! recomputed by hand.
+//! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`: the commands and flags of these names.
+//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers.
+//! `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
+//! processes. `paper`: the published numbers, recomputed by hand.
 
 #![allow(
     clippy::unwrap_used,
@@ -29,6 +29,7 @@ mod paper;
 mod reduce;
 mod reference;
 mod resume;
+mod slam;
 mod sources;
 mod system;
 mod trainer_lists;

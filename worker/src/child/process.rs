@@ -12,6 +12,7 @@ use serde::Serialize;
 use super::protocol::{Drawn, Request};
 use crate::explain::{self, Picture};
 use crate::measure::{frames, measure, measure_in_detail};
+use crate::slam;
 
 /// Answers requests until standard input closes.
 ///
@@ -37,6 +38,7 @@ pub fn run(memory_mib: u64) -> anyhow::Result<()> {
         match message::decode(&bytes)? {
             Request::Measure(job) => send(&mut stdout, &measure(&job)?)?,
             Request::Detail(job) => send(&mut stdout, &measure_in_detail(&job, None)?)?,
+            Request::Track(job) => send(&mut stdout, &slam::track(&job)?)?,
             Request::Frames(job) => send(&mut stdout, &frames::sample(&job)?)?,
             Request::Draw(job) => {
                 let mut hand_over =

@@ -1,9 +1,9 @@
 //! What parent and child say to each other beside outcomes: requests, and pictures.
 //!
 //! One request, then its answer: an [`Outcome`](plumbline_common::message::Outcome) for `Measure`, a
-//! [`Detailed`](crate::measure::Detailed) for `Detail`, frames or the reason for none for `Frames`, for
-//! `Draw` any number of [`Drawn::Picture`] and one [`Drawn::End`]. Both sides are the same binary, so the
-//! form may change with any version.
+//! [`Detailed`](crate::measure::Detailed) for `Detail`, a [`SlamOutcome`](crate::slam::SlamOutcome) for
+//! `Track`, frames or the reason for none for `Frames`, for `Draw` any number of [`Drawn::Picture`] and one
+//! [`Drawn::End`]. Both sides are the same binary, so the form may change with any version.
 
 use plumbline_common::message::Job;
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,8 @@ pub(super) enum Request {
     Measure(Job),
     /// The row and what is behind it.
     Detail(Job),
+    /// The trajectory.
+    Track(Job),
     /// Pictures of a video.
     Draw(DrawJob),
     /// Some of its frames.

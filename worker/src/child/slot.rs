@@ -20,6 +20,7 @@ use super::{CHILD_ARGUMENT, MEMORY_ARGUMENT};
 use crate::explain::{DrawJob, Picture};
 use crate::measure::Detailed;
 use crate::measure::frames::{FramesJob, SampledFrames};
+use crate::slam::SlamOutcome;
 
 /// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
 /// video that kills two children is the cause.
@@ -133,6 +134,19 @@ impl ComputeSlot {
             outcome: failed(job, reason),
             times_s: Vec::new(),
             faults: FaultSeries::default(),
+            worst_edge: None,
+        }))
+    }
+
+    /// Tracks the camera of one video; a crash or a passed deadline is a refusal.
+    ///
+    /// # Errors
+    /// As [`Self::measure`].
+    pub async fn track(&mut self, job: &Job) -> Result<SlamOutcome, SlotError> {
+        let (answer, _attempts) = self.ask(&Request::Track(job.clone())).await?;
+        Ok(answer.unwrap_or_else(|reason| SlamOutcome::Refused {
+            status: Status::Failed,
+            reason,
         }))
     }
 

@@ -2,6 +2,7 @@
 
 use plumbline_vision::faults::{FaultKind, KeptMap};
 use plumbline_vision::image::{Plane, Rgb8, box_mean};
+use plumbline_vision::scene::AdjustedEdge;
 
 use super::canvas::{Anchor, Canvas, DrawError, LIGHT, MUTED, SMALL_PX, TEXT_PX, fitted};
 use super::scale::{BAR_BLOCK_PX, Scale, digits};
@@ -33,6 +34,30 @@ pub(super) fn end_point_error(
         &Scale::end_point_error(),
         None,
     )
+}
+
+/// What the best rigid camera and scene leave on one edge; drawn on the frame whose cells it follows.
+pub(super) fn rigid_residual(
+    edge: &AdjustedEdge,
+    time_s: f64,
+    rgb: &Rgb8,
+) -> Result<Rgb8, DrawError> {
+    let (from, to) = (edge.from_frame, edge.to_frame);
+    let title = format!("rigid residual from frame {from} ({time_s:.2} s) to frame {to}");
+    let mean = edge
+        .mean_px()
+        .map_or(String::new(), |px| format!("; mean {} px", digits(px)));
+    let about = format!("what the best rigid camera and scene do not explain{mean}");
+    let shown = |residual: &Option<f32>| residual.unwrap_or(0.0);
+    let values = Plane {
+        width: edge.columns,
+        height: edge.rows,
+        data: edge.map_px.iter().map(shown).collect(),
+    };
+    let most = values.data.iter().fold(0.0f32, |most, &v| most.max(v));
+    let name = "rigid residual, px of a 256-px-high picture".to_owned();
+    let scale = Scale::up_to(most, name, None);
+    drawing(&title, &about, rgb, &values, &scale, None)
 }
 
 /// A detector's map, smoothed as its peak is searched, with the peak's bounds.

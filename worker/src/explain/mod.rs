@@ -30,6 +30,9 @@ pub enum Subject {
     Fault(FaultKind),
     /// The end-point error against the frame before.
     EndPointError,
+    /// The paper's M_{i*}: what the best rigid camera and scene leave on the worst edge of the frame t*;
+    /// shown on the frame whose cells the edge follows.
+    RigidResidual,
 }
 
 /// Which pictures of which video.
@@ -193,6 +196,10 @@ pub(crate) fn draw(
                     let mean_px = pair_value(&series.aepe_px, series.first_frame, frame);
                     heat::end_point_error(frame, shown.time_s, &shown.rgb, error_px, mean_px)?
                 }
+                None => continue,
+            },
+            Subject::RigidResidual => match &detailed.worst_edge {
+                Some(edge) => heat::rigid_residual(edge, shown.time_s, &shown.rgb)?,
                 None => continue,
             },
             Subject::Fault(kind) => {

@@ -17,11 +17,13 @@ use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
 use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
 use plumbline_vision::scene::{
-    EdgeInput, RigidSolver, SceneError, TwoViewSolver, clip_layers, sample_grid,
+    AdjustedEdge, ClipGeometry, EdgeInput, RigidSolver, SceneError, TwoViewSolver, clip_layers,
+    sample_grid,
 };
 use plumbline_vision::signals::PairSignals;
 
 use super::fill;
+use super::geometry::{DenseGraph, DenseWork};
 use super::observers::Observers;
 use super::thumbnail::thumbnails;
 use super::verdict::{PairEvidence, verdict};
@@ -37,7 +39,7 @@ const LEAST_WEIGHT: f64 = 1e-3;
 
 /// Why a decoded clip cannot be measured.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum ClipError {
+pub(crate) enum ClipError {
     #[error("the picture is {width}×{height}, an aspect beyond {MAX_ASPECT}:1; crop it")]
     Aspect { width: usize, height: usize },
     #[error("{stage} at frame {frame}: {source}")]
@@ -103,6 +105,17 @@ pub(super) struct Edge {
     structure: [Structure; 2],
 }
 
+/// A frame at the working size: the profile's height, aspect kept.
+pub(crate) fn working_picture(profile: &Profile, frame: &DecodedFrame) -> Result<Rgb8, ClipError> {
+    let (width, height) = (frame.rgb.width, frame.rgb.height);
+    if width > MAX_ASPECT * height || height > MAX_ASPECT * width {
+        return Err(ClipError::Aspect { width, height });
+    }
+    let working_height = profile.working_height_px as usize;
+    let working_width = (width * working_height + height / 2) / height;
+    Ok(resize_rgb(&frame.rgb, working_width.max(1), working_height))
+}
+
 /// A clip being measured.
 pub(super) struct Clip<'a> {
     profile: &'a Profile,
@@ -111,6 +124,9 @@ pub(super) struct Clip<'a> {
     usable_frames: u32,
     pairs: Vec<Pair>,
     solver: Option<TwoViewSolver>,
+    dense: DenseGraph,
+    pub(super) dense_work: DenseWork,
+    geometry: Option<ClipGeometry>,
     geometry_problem: Option<SceneError>,
     observers: Option<Observers>,
     peak: Option<Peak>,
@@ -140,6 +156,9 @@ impl<'a> Clip<'a> {
             usable_frames: 0,
             pairs: Vec::new(),
             solver,
+            dense: DenseGraph::default(),
+            dense_work: DenseWork::default(),
+            geometry: None,
             geometry_problem,
             observers: None,
             peak: None,
@@ -164,6 +183,11 @@ impl<'a> Clip<'a> {
     /// Every fault score of the finished clip, with the maps that were kept.
     pub(super) fn take_faults(&mut self) -> FaultSeries {
         std::mem::take(&mut self.faults)
+    }
+
+    /// The edge behind the paper's heat map: of those that end at t*, the one of the largest mean residual.
+    pub(super) fn take_worst_edge(&mut self, peak_frame: Option<u32>) -> Option<AdjustedEdge> {
+        self.geometry.take()?.worst_edge(peak_frame? as usize)
     }
 
     /// Takes the next frame and measures it against the frames before.
@@ -195,13 +219,9 @@ impl<'a> Clip<'a> {
     }
 
     fn prepare(&mut self, frame: DecodedFrame) -> Result<Prepared, ClipError> {
-        let (width, height) = (frame.rgb.width, frame.rgb.height);
-        if width > MAX_ASPECT * height || height > MAX_ASPECT * width {
-            return Err(ClipError::Aspect { width, height });
-        }
-        let working_height = self.profile.working_height_px as usize;
-        let working_width = (width * working_height + height / 2) / height;
-        let rgb = resize_rgb(&frame.rgb, working_width.max(1), working_height);
+        let rgb = working_picture(self.profile, &frame)?;
+        let video = (frame.rgb.width, frame.rgb.height);
+        self.dense.sized(video, (rgb.width, rgb.height));
         let grey = rgb.grey();
         let started = Instant::now();
         let dis = DisFrame::new(&grey, &self.profile.flow).map_err(at("flow", frame.index))?;
@@ -381,6 +401,10 @@ impl<'a> Clip<'a> {
             Ok(()) | Err(SceneError::TooFewCells { .. }) => {}
             Err(source) => return Err(error(source)),
         }
+        let flows = [&edge.forward, &edge.backward];
+        self.dense
+            .edge(edge.from, to, flows, self.profile.grid.step)
+            .map_err(at("geometry", to))?;
         self.spent.geometry += started.elapsed();
         Ok(())
     }
@@ -389,10 +413,10 @@ impl<'a> Clip<'a> {
     pub(super) fn finish(&mut self, info: &VideoInfo) -> Measurement {
         let started = Instant::now();
         let geometry = match (self.solver.take(), self.geometry_problem.take()) {
-            (Some(solver), _) => solver.finish(),
+            (Some(solver), _) => std::mem::take(&mut self.dense).settle(solver, self.profile),
             (None, problem) => Err(problem.unwrap_or(SceneError::NoEdges)),
         };
-        let layers = geometry.as_ref().ok().map(|geometry| {
+        let layers = geometry.as_ref().ok().map(|(geometry, _)| {
             clip_layers(geometry, &self.profile.two_view.gric, &self.profile.layers)
         });
         self.spent.geometry += started.elapsed();
@@ -408,8 +432,10 @@ impl<'a> Clip<'a> {
             .map(|pair| (pair.frame, &pair.signals))
             .collect();
         fill::photometric(&mut row, &pairs);
-        if let Ok(geometry) = &geometry {
-            fill::geometric(&mut row, geometry, self.profile.warmup_frames);
+        if let Ok((geometry, work)) = geometry {
+            fill::geometric(&mut row, &geometry, self.profile.warmup_frames);
+            self.dense_work = work;
+            self.geometry = Some(geometry);
         }
         if let Some(Ok(layers)) = &layers {
             fill::layers(&mut row, layers);

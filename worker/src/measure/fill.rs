@@ -1,7 +1,7 @@
 //! From what was measured to the columns of the row.
 
 use plumbline_common::row::{GeometryMethod, Measurement, Scene, Series};
-use plumbline_vision::scene::{ClipGeometry, ClipLayers, SceneKind};
+use plumbline_vision::scene::{ClipGeometry, ClipLayers, Method, SceneKind};
 use plumbline_vision::signals::arc::ArcStep;
 use plumbline_vision::signals::{PairSignals, median};
 
@@ -48,7 +48,10 @@ pub(super) fn geometric(row: &mut Measurement, geometry: &ClipGeometry, warmup_f
         SceneKind::Rotation => Scene::Rotation,
         SceneKind::Parallax => Scene::Parallax,
     });
-    row.reproj_method = Some(GeometryMethod::TwoViewGric);
+    row.reproj_method = Some(match geometry.method {
+        Method::TwoViewGric => GeometryMethod::TwoViewGric,
+        Method::DenseAdjustment => GeometryMethod::DenseAdjustment,
+    });
     row.reproj_px = Some(geometry.residual_px);
     let mut series = Vec::with_capacity(geometry.series.len());
     for residual in &geometry.series {

@@ -2,15 +2,16 @@
 //!
 //! Frames stream through: decode, resize to the working size, optical flow to the frames before
 //! (forward and backward), end-point errors and signals per adjacent pair, motion models per edge;
-//! then the clip's numbers and its verdict (design, section 4). Memory is bounded by a few frames,
-//! whatever the length of the clip.
+//! dense adjustment under parallax; then the clip's numbers and its verdict (design, section 4). Memory is bounded by a few frames
+//! and, of each edge, its correspondences on the grid.
 
 mod assess;
 mod clip;
 mod fill;
 pub mod frames;
+mod geometry;
 mod observers;
-mod read;
+pub(crate) mod read;
 mod thumbnail;
 mod verdict;
 
@@ -22,10 +23,12 @@ use plumbline_common::row::{Cost, Measurement, Status};
 
 use plumbline_vision::faults::{FaultKind, FaultSeries};
 use plumbline_vision::image::Plane;
+use plumbline_vision::scene::AdjustedEdge;
 use serde::{Deserialize, Serialize};
 
 use crate::decode::{DecodeError, DecodedFrame, VideoInfo};
 use crate::profile::Profile;
+pub(crate) use clip::working_picture;
 use clip::{Clip, ClipError};
 use read::{Input, ReadError};
 
@@ -48,6 +51,9 @@ pub struct Detailed {
     pub times_s: Vec<f64>,
     /// Every fault score; empty where no pair was measured.
     pub faults: FaultSeries,
+    /// The edge of the paper's heat map: of those whose later frame is t*, the one of the largest mean
+    /// residual.
+    pub worst_edge: Option<AdjustedEdge>,
 }
 
 /// What is looked at while a clip is measured, for pictures of it.
@@ -100,7 +106,11 @@ pub(crate) fn measure_in_detail(
     cost.flow_s = clip.spent.flow.as_secs_f64();
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
+    cost.adjustment_steps = clip.dense_work.steps as u64;
+    cost.depth_cells = clip.dense_work.depth_cells as u64;
+    cost.depth_cells_saved = clip.dense_work.depth_cells_saved as u64;
     cost.decode_s = (cost.total_s - cost.flow_s - cost.signals_s - cost.geometry_s).max(0.0);
+    let worst_edge = clip.take_worst_edge(measurement.paper_peak_frame);
     Ok(Detailed {
         outcome: Outcome {
             video: job.video.clone(),
@@ -110,6 +120,7 @@ pub(crate) fn measure_in_detail(
         },
         times_s,
         faults: clip.take_faults(),
+        worst_edge,
     })
 }
 
@@ -160,8 +171,13 @@ impl Refused {
     }
 }
 
+/// Status and reason of a video that does not decode.
+pub(crate) fn refusal(error: &DecodeError) -> (Status, String) {
+    (status_of(error), error.to_string())
+}
+
 impl ReadError {
-    fn row(&self, job: &Job) -> Measurement {
+    pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
             Self::Changed { .. } => Status::Failed,

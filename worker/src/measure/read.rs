@@ -17,9 +17,9 @@ use crate::decode::{
 use crate::profile::Profile;
 
 /// A readable input.
-pub(super) struct Input {
+pub(crate) struct Input {
     /// BLAKE3 of the bytes, hex.
-    pub(super) digest: String,
+    pub(crate) digest: String,
     content: Content,
 }
 
@@ -30,7 +30,7 @@ enum Content {
 
 /// Why an input cannot be read.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum ReadError {
+pub(crate) enum ReadError {
     #[error(transparent)]
     Decode(#[from] DecodeError),
     #[error(
@@ -41,7 +41,7 @@ pub(super) enum ReadError {
 
 impl Input {
     /// Reads a file whole (its size is limited), or hashes a directory of images.
-    pub(super) fn open(job: &Job, limits: &DecodeLimits) -> Result<Self, ReadError> {
+    pub(crate) fn open(job: &Job, limits: &DecodeLimits) -> Result<Self, ReadError> {
         match &job.location {
             Location::File(path) => {
                 let path = path_of(path);
@@ -63,7 +63,7 @@ impl Input {
     }
 
     /// Streams its frames.
-    pub(super) fn decode(
+    pub(crate) fn decode(
         &self,
         profile: &Profile,
         on_frame: &mut dyn FnMut(DecodedFrame) -> ControlFlow<()>,

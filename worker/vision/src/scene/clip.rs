@@ -49,6 +49,19 @@ impl EdgeGeometry {
         self.evidence.get(model).fit()
     }
 
+    /// The edge's residuals under `model`; `None` if it was not fitted.
+    fn under(&self, model: MotionModel) -> Option<AdjustedEdge> {
+        Some(AdjustedEdge {
+            from_frame: self.from_frame,
+            to_frame: self.to_frame,
+            columns: self.columns,
+            rows: self.rows,
+            sum_px: self.fit(model)?.residual_px * self.n() as f64,
+            cells: self.n(),
+            map_px: self.residual_map_px(model)?,
+        })
+    }
+
     /// Residual of every grid cell under `model`, `[rows, columns]` row-major, `None` where the
     /// cell is not valid; `None` if the model was not fitted. For heat maps.
     #[must_use]
@@ -110,8 +123,10 @@ pub struct ClipGeometry {
     pub cells: usize,
     /// e_t by later frame, increasing, under `model`.
     pub series: Vec<FrameResidual>,
-    /// The edges, in the order given.
+    /// The edges, in the order given, under two-view models.
     pub edges: Vec<EdgeGeometry>,
+    /// Both directions of every edge after dense adjustment; empty where there was none.
+    pub adjusted: Vec<AdjustedEdge>,
     /// The work done and saved.
     pub work: Work,
 }
@@ -140,19 +155,7 @@ impl ClipGeometry {
                 ))
             })
             .collect::<Option<Vec<_>>>()?;
-        sums.sort_by_key(|&(frame, _, _)| frame);
-        let series: Vec<FrameResidual> = sums
-            .chunk_by(|a, b| a.0 == b.0)
-            .map(|group| {
-                let cells = group.iter().map(|g| g.2).sum::<usize>();
-                let total: f64 = group.iter().map(|g| g.1).sum();
-                FrameResidual {
-                    frame: group[0].0,
-                    residual_px: total / cells as f64,
-                    cells,
-                }
-            })
-            .collect();
+        let series = series_of(&mut sums);
         let cells = sums.iter().map(|s| s.2).sum::<usize>();
         let total: f64 = sums.iter().map(|s| s.1).sum();
         Some(Self {
@@ -164,7 +167,93 @@ impl ClipGeometry {
             cells,
             series,
             edges,
+            adjusted: Vec::new(),
             work,
         })
     }
+
+    /// The same clip after dense adjustment: mean, series and heat maps are those of `edges`.
+    #[must_use]
+    pub fn adjusted(mut self, edges: Vec<AdjustedEdge>) -> Self {
+        let mut sums: Vec<_> = edges
+            .iter()
+            .map(|e| (e.from_frame.max(e.to_frame), e.sum_px, e.cells))
+            .collect();
+        let cells = sums.iter().map(|s| s.2).sum::<usize>();
+        if cells == 0 {
+            return self;
+        }
+        self.method = Method::DenseAdjustment;
+        self.series = series_of(&mut sums);
+        self.cells = cells;
+        self.residual_px = sums.iter().map(|s| s.1).sum::<f64>() / cells as f64;
+        self.adjusted = edges;
+        self
+    }
+
+    /// i*: of the edges whose later frame is `frame`, the one of the largest mean residual, with its map;
+    /// the first of equals.
+    #[must_use]
+    pub fn worst_edge(&self, frame: usize) -> Option<AdjustedEdge> {
+        let larger =
+            |worst: AdjustedEdge, edge: AdjustedEdge| match edge.mean_px() > worst.mean_px() {
+                true => edge,
+                false => worst,
+            };
+        let is_there =
+            |edge: &AdjustedEdge| edge.from_frame.max(edge.to_frame) == frame && edge.cells > 0;
+        if self.method == Method::DenseAdjustment {
+            return self
+                .adjusted
+                .iter()
+                .filter(|e| is_there(e))
+                .cloned()
+                .reduce(larger);
+        }
+        let edges = self.edges.iter().filter_map(|e| e.under(self.model));
+        edges.filter(is_there).reduce(larger)
+    }
+}
+
+/// What is left on one directed edge.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AdjustedEdge {
+    /// Frame whose cells these are.
+    pub from_frame: usize,
+    /// Frame they are found in.
+    pub to_frame: usize,
+    /// Grid columns.
+    pub columns: usize,
+    /// Grid rows.
+    pub rows: usize,
+    /// Sum of the residuals, px.
+    pub sum_px: f64,
+    /// Cells that have one.
+    pub cells: usize,
+    /// `[rows, columns]`, on the source frame, px; `None` where a cell has none.
+    pub map_px: Vec<Option<f32>>,
+}
+
+impl AdjustedEdge {
+    /// S: the mean residual, px; `None` without cells.
+    #[must_use]
+    pub fn mean_px(&self) -> Option<f64> {
+        (self.cells > 0).then(|| self.sum_px / self.cells as f64)
+    }
+}
+
+/// e_t from edges: (later frame, sum of residuals in px, cells), which are sorted by frame here. The order of edges
+/// within a frame is kept, so that sums have one order; a frame without cells has no entry.
+pub(crate) fn series_of(sums: &mut [(usize, f64, usize)]) -> Vec<FrameResidual> {
+    sums.sort_by_key(|&(frame, _, _)| frame);
+    let frames = sums.chunk_by(|a, b| a.0 == b.0).map(|group| {
+        let cells = group.iter().map(|g| g.2).sum::<usize>();
+        let total: f64 = group.iter().map(|g| g.1).sum();
+        FrameResidual {
+            frame: group[0].0,
+            residual_px: total / cells as f64,
+            cells,
+        }
+    });
+    frames.filter(|residual| residual.cells > 0).collect()
 }

@@ -71,6 +71,8 @@ impl From<MotionModel> for SceneKind {
 pub enum Method {
     /// Two-view models per edge, chosen by GRIC; no depth is shared between edges.
     TwoViewGric,
+    /// Poses and one depth per cell, shared by all edges of a frame, by dense bundle adjustment.
+    DenseAdjustment,
 }
 
 /// One value per motion model.

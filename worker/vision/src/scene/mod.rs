@@ -3,9 +3,9 @@
 //! From optical flow sampled on a grid ([`correspondence`]) three models are fitted, from cheap to
 //! dear: a static camera, a homography ([`homography`]), a rigid scene with a free depth per point
 //! ([`fundamental`]). GRIC ([`gric`], Torr 1998) picks the cheapest sufficient one per edge and
-//! per clip; a model that provably cannot win is not fitted. [`solver`] is the seam: another
-//! [`RigidSolver`] (dense bundle adjustment) hands back the same [`ClipGeometry`]. What the clip's model
-//! leaves is split into rigid [`layers`].
+//! per clip; a model that provably cannot win is not fitted. [`solver`] is the seam, and
+//! [`ClipGeometry::adjusted`] takes over what dense bundle adjustment leaves of a clip with parallax. What
+//! the clip's two-view model leaves is split into rigid [`layers`].
 //!
 //! Units: all pixels are those of a 256-px-high picture, origin at its top-left corner. Residuals
 //! are distances in the *target* picture. What may fail is [`SceneError`] (the input) and
@@ -30,7 +30,7 @@ mod synthetic;
 mod tests;
 mod two_view;
 
-pub use clip::{ClipGeometry, EdgeGeometry, FrameResidual, Work};
+pub use clip::{AdjustedEdge, ClipGeometry, EdgeGeometry, FrameResidual, Work};
 pub use correspondence::{Correspondence, CorrespondenceField, GridParams, sample_grid};
 pub use evidence::{
     Method, ModelEvidence, ModelFit, MotionEstimate, MotionModel, PerModel, SceneKind,

@@ -107,6 +107,31 @@ impl TwoViewSolver {
         &self.edges
     }
 
+    /// The model of least GRIC over all edges so far, exact: fits what only that needs. The cheapest
+    /// without edges.
+    pub fn verdict(&mut self) -> MotionModel {
+        // Each pass completes one model, so that there are at most three.
+        for _ in MotionModel::ALL {
+            let least = self.sums().least();
+            if self.is_exact(least) {
+                break;
+            }
+            self.complete(least);
+        }
+        self.sums().least()
+    }
+
+    /// The clip's geometry under `model`, whatever the criterion says.
+    ///
+    /// # Errors
+    /// [`SceneError::NoEdges`], also where `model` cannot be fitted to every edge.
+    pub fn finish_under(mut self, model: MotionModel) -> Result<ClipGeometry, SceneError> {
+        self.complete(model);
+        let (gric, work) = (self.sums(), self.work());
+        ClipGeometry::summarise(Method::TwoViewGric, model, gric, self.edges, work)
+            .ok_or(SceneError::NoEdges)
+    }
+
     /// The clip's sums: bounds where a model was skipped.
     fn sums(&self) -> PerModel<f64> {
         PerModel::from_fn(|model| {
@@ -217,16 +242,7 @@ impl RigidSolver for TwoViewSolver {
     }
 
     fn finish(mut self) -> Result<ClipGeometry, SceneError> {
-        // Each pass completes one model, so that there are at most three.
-        for _ in MotionModel::ALL {
-            let least = self.sums().least();
-            if self.is_exact(least) {
-                break;
-            }
-            self.complete(least);
-        }
-        let (gric, work) = (self.sums(), self.work());
-        ClipGeometry::summarise(Method::TwoViewGric, gric.least(), gric, self.edges, work)
-            .ok_or(SceneError::NoEdges)
+        let verdict = self.verdict();
+        self.finish_under(verdict)
     }
 }
