@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Alternates one step of Plumbline's bundle adjustment, on one and two threads, with its NumPy twin on
 # one and two (BLAS) threads, and writes a dated table to tests/benches/results/: the best step of all
-# rounds, and the median of the rounds' medians, which a busy machine moves more. About 2 minutes.
+# rounds, and the median of the rounds' medians, which a busy machine moves more. Three to four
+# minutes on a quiet machine.
 #
 #   bundle.sh [ROUNDS=5] [REPEAT=5]
 #

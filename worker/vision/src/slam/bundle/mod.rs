@@ -3,15 +3,16 @@
 //! Minimises Σ w ρ(target − reprojection) over all edges and cells in front of the camera, plus
 //! w_p (d − d_measured)² where a depth was measured; ρ is the square, or Huber's kernel. Gauss-Newton;
 //! the depths' block of the normal equations is diagonal and is eliminated first (Schur complement), the
-//! poses' system is solved by Cholesky inside its envelope. With C the depths' diagonal, E the coupling, A the poses' block:
+//! poses' system is solved by Cholesky inside its envelope. With C the depths' diagonal, E the coupling,
+//! A the poses' block:
 //!
 //! S = A − E C⁻¹ Eᵀ,  S dx = b − E C⁻¹ w,  dz = C⁻¹ (w − Eᵀ dx).
 //!
 //! One solver with explicit options: [`BundleOptions::worldscore`] reproduces the reference (CUDA
 //! kernels of DROID-SLAM commit 8016d2b) with its quirks; the default is a Levenberg-Marquardt
 //! iteration that accepts no step that raises the cost. Targets and weights are f32, all sums f64, in
-//! one fixed order, on any number of threads ([`Workspace::with_threads`]). Poses are `camera_from_world`, lengths are grid cells. Fails with
-//! [`BundleError`]; no result is ever NaN.
+//! one fixed order, on any number of threads ([`Workspace::with_threads`]). Poses are
+//! `camera_from_world`, lengths are grid cells. Fails with [`BundleError`]; no result is ever NaN.
 
 mod assemble;
 mod cost;
