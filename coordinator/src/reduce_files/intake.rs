@@ -143,11 +143,12 @@ pub(super) fn take_in(
                     group_file: &group_file,
                     shared: &shared,
                 };
-                if let Err(error) = taken.row_group(&work) {
-                    // The other threads have nothing left to find.
+                let ascending = taken.row_group(&work);
+                if !matches!(ascending, Ok(true)) {
+                    // Nothing is left to find: rows that are not in order are taken in again, sorted.
                     queue.lock().map_err(|_| ReduceFilesError::Thread)?.clear();
-                    return Err(error);
                 }
+                ascending?;
             }
         };
         let others: Vec<_> = (1..threads.max(1)).map(|_| scope.spawn(one)).collect();
@@ -247,7 +248,8 @@ struct Taking<'a> {
 }
 
 impl Taking<'_> {
-    fn row_group(&self, work: &Work) -> Result<(), ReduceFilesError> {
+    /// Takes one row group in; says whether its rows are in order.
+    fn row_group(&self, work: &Work) -> Result<bool, ReduceFilesError> {
         let file = &self.table.name;
         let mut row = work.first_row;
         let mut span = Span {
@@ -295,9 +297,10 @@ impl Taking<'_> {
             self.share(row, &checked, groups.as_ref())?;
             row += batch.num_rows() as u64;
         }
+        let ascending = span.ascending;
         let mut shared = self.shared.lock().map_err(|_| ReduceFilesError::Thread)?;
         shared.spans.insert(work.first_row, span);
-        Ok(())
+        Ok(ascending)
     }
 
     /// What concerns more than one row group.

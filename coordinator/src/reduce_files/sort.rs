@@ -9,7 +9,7 @@ use std::fs::File;
 use std::path::Path;
 
 use arrow_array::cast::AsArray;
-use arrow_array::{Array, RecordBatch};
+use arrow_array::{Array, RecordBatch, StringArray};
 use arrow_select::interleave::interleave_record_batch;
 use parquet::arrow::ArrowWriter;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
@@ -34,11 +34,13 @@ pub(super) fn sorted(
     let mut runs = Vec::new();
     let mut batches: Vec<RecordBatch> = Vec::new();
     let mut bytes = 0;
-    let names: Vec<&str> = columns
-        .all
-        .iter()
-        .map(|column| column.name.as_str())
-        .collect();
+    // What no table has, and what is made anew, need not be moved: it is filled in when rows are read.
+    let there = |name: &&str| {
+        tables
+            .iter()
+            .any(|table| table.schema().column_with_name(name).is_some())
+    };
+    let names: Vec<&str> = columns.read().into_iter().filter(there).collect();
     for table in tables {
         for batch in table.read(&names, None, BATCH_ROWS)? {
             let batch = columns.conform(&batch?, &names, &table.name)?;
@@ -55,14 +57,14 @@ pub(super) fn sorted(
         runs.push(write_run(&batches, scratch)?);
     }
     drop(batches);
-    merge(&runs, columns, &names, scratch)
+    merge(&runs, &names, scratch)
 }
 
 /// The names of a batch.
 pub(super) fn videos<'a>(
     batch: &'a RecordBatch,
     file: &str,
-) -> Result<&'a arrow_array::StringArray, ReduceFilesError> {
+) -> Result<&'a StringArray, ReduceFilesError> {
     let videos = batch
         .column_by_name("video")
         .and_then(|array| array.as_string_opt::<i32>());
@@ -104,16 +106,16 @@ struct Cursor<'a> {
     rest: Batches<'a>,
     /// Where its current batch lies among those of the merge.
     batch: usize,
+    /// The names of that batch, checked once.
+    videos: StringArray,
     row: usize,
 }
 
 fn merge(
     runs: &[TableFile],
-    columns: &Columns,
     names: &[&str],
     scratch: &Path,
 ) -> Result<TableFile, ReduceFilesError> {
-    let mut merged = ScratchTable::new(columns.schema(), scratch)?;
     let mut held: Vec<RecordBatch> = Vec::new();
     let mut cursors = Vec::new();
     let mut heap = BinaryHeap::new();
@@ -121,18 +123,22 @@ fn merge(
         let mut rest = run.read(names, None, MERGE_ROWS)?;
         if let Some(batch) = rest.next() {
             let batch = batch?;
-            heap.push(Reverse((
-                videos(&batch, &run.name)?.value(0).to_owned(),
-                cursors.len(),
-            )));
+            let videos = videos(&batch, &run.name)?.clone();
+            heap.push(Reverse((videos.value(0).to_owned(), cursors.len())));
             cursors.push(Cursor {
                 rest,
                 batch: held.len(),
+                videos,
                 row: 0,
             });
             held.push(batch);
         }
     }
+    let Some(first) = held.first() else {
+        // Tables without rows are left out.
+        return Err(ReduceFilesError::Thread);
+    };
+    let mut merged = ScratchTable::new(&first.schema(), scratch)?;
     let mut order: Vec<(usize, usize)> = Vec::with_capacity(BATCH_ROWS);
     let mut last: Option<String> = None;
     while let Some(Reverse((video, k))) = heap.pop() {
@@ -142,19 +148,20 @@ fn merge(
         let cursor = &mut cursors[k];
         order.push((cursor.batch, cursor.row));
         cursor.row += 1;
-        if cursor.row == held[cursor.batch].num_rows() {
+        if cursor.row == cursor.videos.len() {
             match cursor.rest.next() {
                 Some(batch) => {
+                    let batch = batch?;
                     cursor.batch = held.len();
+                    cursor.videos = videos(&batch, "the rows")?.clone();
                     cursor.row = 0;
-                    held.push(batch?);
+                    held.push(batch);
                 }
                 None => cursor.row = usize::MAX,
             }
         }
         if cursor.row != usize::MAX {
-            let next = videos(&held[cursor.batch], "the rows")?.value(cursor.row);
-            heap.push(Reverse((next.to_owned(), k)));
+            heap.push(Reverse((cursor.videos.value(cursor.row).to_owned(), k)));
         }
         last = Some(video);
         if order.len() == BATCH_ROWS || heap.is_empty() {
