@@ -66,6 +66,7 @@ fn full_row(video: &str, carried: Value) -> Row {
             motion_px: Some(f64::MIN_POSITIVE / 2.0),
             reproj_px: Some(1e300),
             reproj_method: Some(GeometryMethod::TwoViewGric),
+            layer_residual_px: Some(0.25),
             aepe_px: Some(-0.0),
             aepe_worldscore_px: Some(1.0),
             occluded_fraction: Some(0.0),

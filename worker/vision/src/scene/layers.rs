@@ -23,7 +23,7 @@
 //! a result depends on the edge, the parameters and the seed alone, in f64 with one order of operations.
 //!
 //! Chosen by measuring on recorded and generated clips: the dense adjustment's grid of 32 rows gives what
-//! 64 rows give, for a fifth of the time; a gate of 0.75 px, or homographies for layers, change nothing
+//! 64 rows give, for a quarter of the time; a gate of 0.75 px, or homographies for layers, change nothing
 //! that the measure is used for. In pixels it grows with motion, as the camera's residual does; P
 //! ([`crate::signals::piecewise_residual`]) is the relative measure of consistent cells.
 
