@@ -171,7 +171,7 @@ pub fn focal_evidence(
         scene = settled;
         let slope = (above - below) / (2.0 * STEP);
         let curvature = (above - 2.0 * middle + below) / (STEP * STEP);
-        if !(curvature > 0.0) {
+        if curvature.is_nan() || curvature <= 0.0 {
             deviation = None;
             // Downhill by one step: the minimum may lie there.
             centre = (centre - STEP * slope.signum()).clamp(-most, most);
