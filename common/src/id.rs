@@ -118,7 +118,17 @@ mod tests {
             assert_eq!(RunId::new(name).unwrap().as_str(), name);
         }
         let too_long = "f".repeat(RunId::MAX_BYTES + 1);
-        for name in ["", "-a", "A", "a/b", "..", "a.b", "a\n", "ü", too_long.as_str()] {
+        for name in [
+            "",
+            "-a",
+            "A",
+            "a/b",
+            "..",
+            "a.b",
+            "a\n",
+            "ü",
+            too_long.as_str(),
+        ] {
             assert!(RunId::new(name).is_err(), "{name}");
             let wire = rmp_serde::to_vec(name).unwrap();
             assert!(rmp_serde::from_slice::<RunId>(&wire).is_err(), "{name}");

@@ -35,7 +35,9 @@ async fn a_full_local_queue_makes_publishers_wait_and_dead_letters_are_bounded()
         capacity: CAPACITY,
         dead_letters: 2,
     });
-    publish_all(&broker, &JOBS, numbered(CAPACITY), 1).await.unwrap();
+    publish_all(&broker, &JOBS, numbered(CAPACITY), 1)
+        .await
+        .unwrap();
     let mut one_more = std::pin::pin!(broker.publish(&JOBS, Message::new("more", "")));
     let quiet = Duration::from_millis(50);
     assert!(timeout(quiet, &mut one_more).await.is_err());
@@ -49,7 +51,11 @@ async fn a_full_local_queue_makes_publishers_wait_and_dead_letters_are_bounded()
     delivery.settle(reject("0")).await.unwrap();
     one_more.await.unwrap();
     for reason in ["1", "2"] {
-        next(&mut consumer).await.settle(reject(reason)).await.unwrap();
+        next(&mut consumer)
+            .await
+            .settle(reject(reason))
+            .await
+            .unwrap();
     }
     let mut dead = broker.consume(&Queue::Dead, 9).await.unwrap();
     for reason in ["1", "2"] {
@@ -71,7 +77,10 @@ async fn a_deleted_local_queue_frees_those_who_wait_for_it() {
     tokio::task::yield_now().await;
     broker.delete(&run).await.unwrap();
     let freed = timeout(support::DEADLINE, waits).await.unwrap().unwrap();
-    assert!(matches!(freed, Err(QueueError::Missing { .. })), "{freed:?}");
+    assert!(
+        matches!(freed, Err(QueueError::Missing { .. })),
+        "{freed:?}"
+    );
 }
 
 #[tokio::test]
@@ -92,9 +101,15 @@ async fn what_another_program_sent_arrives_and_does_not_decode() {
     published.await.unwrap().await.unwrap();
     let mut consumer = broker.consume(&JOBS, 1).await.unwrap();
     let delivery = next(&mut consumer).await;
-    assert_eq!((delivery.message.id.as_str(), delivery.message.attempt), ("", 1));
+    assert_eq!(
+        (delivery.message.id.as_str(), delivery.message.attempt),
+        ("", 1)
+    );
     let decoded = message::decode::<Job>(&delivery.message.body);
-    assert!(matches!(decoded, Err(message::MessageError::Version { .. })), "{decoded:?}");
+    assert!(
+        matches!(decoded, Err(message::MessageError::Version { .. })),
+        "{decoded:?}"
+    );
 }
 
 #[tokio::test]
@@ -111,7 +126,10 @@ async fn a_queue_made_by_another_version_is_named() {
     );
     other.await.unwrap();
     let refused = AmqpBroker::connect(&url, options).await;
-    assert!(matches!(refused, Err(QueueError::Mismatch { .. })), "{refused:?}");
+    assert!(
+        matches!(refused, Err(QueueError::Mismatch { .. })),
+        "{refused:?}"
+    );
 }
 
 #[tokio::test]
@@ -125,10 +143,16 @@ async fn a_broker_out_of_reach_and_one_that_refuses_are_told_apart_without_the_p
         ..amqp_options("refused")
     };
     // A port that was free a moment ago.
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let free = std::net::TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap();
     let nobody = format!("amqp://u:geheim@{free}/%2f");
     let error = AmqpBroker::connect(&nobody, options()).await.unwrap_err();
-    assert!(matches!(error, QueueError::Unreachable { attempts: 3, .. }), "{error:?}");
+    assert!(
+        matches!(error, QueueError::Unreachable { attempts: 3, .. }),
+        "{error:?}"
+    );
     assert!(error.to_string().contains(&free.to_string()) && !error.to_string().contains("geheim"));
 
     let url = server("PLUMBLINE_TEST_AMQP_URL");

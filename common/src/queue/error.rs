@@ -9,7 +9,9 @@ pub(super) type Source = Box<dyn std::error::Error + Send + Sync>;
 #[derive(Debug, thiserror::Error)]
 pub enum QueueError {
     /// There is no such queue: for results, the run is finished or cancelled.
-    #[error("there is no queue {queue} to take the message; its run was finished or cancelled, or never started")]
+    #[error(
+        "there is no queue {queue} to take the message; its run was finished or cancelled, or never started"
+    )]
     Missing {
         /// The queue.
         queue: String,
@@ -23,7 +25,9 @@ pub enum QueueError {
         bytes: usize,
     },
     /// The settlement came too late: the message is on its way to another receiver.
-    #[error("{queue}: the broker took message {message} back before it was settled; it comes again")]
+    #[error(
+        "{queue}: the broker took message {message} back before it was settled; it comes again"
+    )]
     Lost {
         /// The queue.
         queue: String,
@@ -31,7 +35,9 @@ pub enum QueueError {
         message: String,
     },
     /// The queue is there with other properties: another version of the program made it.
-    #[error("the queue {queue} was made with other properties ({source}); finish or cancel the runs that use it and delete it, or choose another namespace")]
+    #[error(
+        "the queue {queue} was made with other properties ({source}); finish or cancel the runs that use it and delete it, or choose another namespace"
+    )]
     Mismatch {
         /// The queue.
         queue: String,
@@ -39,7 +45,9 @@ pub enum QueueError {
         source: Source,
     },
     /// Still out of reach after every retry.
-    #[error("{broker}: no answer after {attempts} attempts ({source}); check that the broker runs and its address, then run again")]
+    #[error(
+        "{broker}: no answer after {attempts} attempts ({source}); check that the broker runs and its address, then run again"
+    )]
     Unreachable {
         /// The broker, without credentials.
         broker: String,
@@ -57,7 +65,9 @@ pub enum QueueError {
         source: Source,
     },
     /// The address is none.
-    #[error("the broker's address is not usable ({source}); write amqp://user:password@host:port/vhost")]
+    #[error(
+        "the broker's address is not usable ({source}); write amqp://user:password@host:port/vhost"
+    )]
     Address {
         /// Why.
         source: Source,

@@ -147,11 +147,7 @@ fn put_atomic(path: &Path, content: &mut dyn Read) -> io::Result<()> {
 }
 
 /// Sends the objects below `root` whose keys begin with `prefix`, in key order, until the reader leaves.
-fn walk(
-    root: &Path,
-    prefix: &str,
-    pages: &mpsc::Sender<Result<Vec<ObjectMeta>, StoreError>>,
-) {
+fn walk(root: &Path, prefix: &str, pages: &mpsc::Sender<Result<Vec<ObjectMeta>, StoreError>>) {
     let mut page = Vec::new();
     for object in objects(root, prefix) {
         let failed = object.is_err();
@@ -163,9 +159,7 @@ fn walk(
         }
         if failed
             || page.len() == PAGE_OBJECTS
-                && pages
-                    .blocking_send(Ok(std::mem::take(&mut page)))
-                    .is_err()
+                && pages.blocking_send(Ok(std::mem::take(&mut page))).is_err()
         {
             return;
         }
@@ -197,7 +191,10 @@ fn objects(root: &Path, prefix: &str) -> impl Iterator<Item = Result<ObjectMeta,
         };
         let name = entry.path().strip_prefix(&root).unwrap_or(entry.path());
         let Some(key) = name.to_str() else {
-            return Some(Err(unusable(entry.path(), "the name is not UTF-8; rename the file")));
+            return Some(Err(unusable(
+                entry.path(),
+                "the name is not UTF-8; rename the file",
+            )));
         };
         if !key.starts_with(&prefix) || is_partial(&entry.file_name().to_string_lossy()) {
             return None;
@@ -247,7 +244,11 @@ fn describe(key: ObjectKey, path: &Path, metadata: &Metadata) -> Result<ObjectMe
         key,
         bytes: metadata.len(),
         // The inode tells apart two puts within one tick of the file system's clock.
-        etag: Some(format!("{modified_ns}-{}-{}", metadata.len(), metadata.ino())),
+        etag: Some(format!(
+            "{modified_ns}-{}-{}",
+            metadata.len(),
+            metadata.ino()
+        )),
         modified_s: i64::try_from(modified_ns.div_euclid(1_000_000_000)).ok(),
     })
 }

@@ -23,15 +23,15 @@ pub enum StoreError {
         source: Source,
     },
     /// Not the version that was listed.
-    #[error(
-        "{object}: changed after it was listed; run again to use what is there now"
-    )]
+    #[error("{object}: changed after it was listed; run again to use what is there now")]
     Changed {
         /// The object.
         object: String,
     },
     /// Larger than the caller allows.
-    #[error("{object}: has {bytes} bytes, more than the {limit} allowed; raise the limit or leave it out")]
+    #[error(
+        "{object}: has {bytes} bytes, more than the {limit} allowed; raise the limit or leave it out"
+    )]
     TooLarge {
         /// The object.
         object: String,

@@ -352,5 +352,7 @@ fn described(key: &ObjectKey, answer: &GetObjectOutput) -> Option<ObjectMeta> {
 }
 
 fn unsigned(bytes: Option<i64>) -> u64 {
-    bytes.and_then(|bytes| u64::try_from(bytes).ok()).unwrap_or(0)
+    bytes
+        .and_then(|bytes| u64::try_from(bytes).ok())
+        .unwrap_or(0)
 }

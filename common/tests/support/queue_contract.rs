@@ -34,7 +34,10 @@ pub(crate) async fn next(consumer: &mut Box<dyn Consumer>) -> Delivery {
 }
 
 async fn nothing_comes(consumer: &mut Box<dyn Consumer>) {
-    assert!(timeout(QUIET, consumer.next()).await.is_err(), "a message came");
+    assert!(
+        timeout(QUIET, consumer.next()).await.is_err(),
+        "a message came"
+    );
 }
 
 /// Asks for all of it, one after the other.
@@ -68,7 +71,10 @@ async fn every_message_arrives_as_it_was(broker: &dyn Broker) {
         while !expected.is_empty() {
             let delivery = next(&mut consumer).await;
             assert_eq!((delivery.redeliveries, &delivery.dead), (0, &None));
-            assert_eq!(expected.remove(&delivery.message.id), Some(delivery.message.clone()));
+            assert_eq!(
+                expected.remove(&delivery.message.id),
+                Some(delivery.message.clone())
+            );
             delivery.settle(Settlement::Done).await.unwrap();
         }
     };
@@ -116,7 +122,10 @@ async fn what_a_lost_consumer_held_comes_again(broker: &dyn Broker) {
     assert_eq!(again, ["video-0", "video-1"].map(str::to_owned).into());
     // What the lost consumer says of it comes too late, and says so.
     let too_late = a.settle(Settlement::Done).await;
-    assert!(matches!(too_late, Err(QueueError::Lost { .. })), "{too_late:?}");
+    assert!(
+        matches!(too_late, Err(QueueError::Lost { .. })),
+        "{too_late:?}"
+    );
     nothing_comes(&mut second).await;
 }
 
@@ -140,7 +149,10 @@ async fn a_retry_comes_back_later_and_counted(broker: &dyn Broker) {
             delivery.settle(Settlement::Done).await.unwrap();
             break;
         }
-        delivery.settle(Settlement::Retry { after: WAIT }).await.unwrap();
+        delivery
+            .settle(Settlement::Retry { after: WAIT })
+            .await
+            .unwrap();
         // The slot is free meanwhile.
         let other = Message::new("other", "");
         broker.publish(&JOBS, other).await.unwrap();
@@ -174,7 +186,10 @@ async fn a_rejection_is_kept_with_its_reason(broker: &dyn Broker) {
 }
 
 async fn a_message_that_ends_every_receiver_is_put_away(broker: &dyn Broker) {
-    broker.publish(&JOBS, Message::new("killer", "x")).await.unwrap();
+    broker
+        .publish(&JOBS, Message::new("killer", "x"))
+        .await
+        .unwrap();
     for redeliveries in 0..MAX_DELIVERIES {
         let mut consumer = broker.consume(&JOBS, 1).await.unwrap();
         let delivery = next(&mut consumer).await;
@@ -185,7 +200,10 @@ async fn a_message_that_ends_every_receiver_is_put_away(broker: &dyn Broker) {
     let letter = next(&mut dead).await;
     let why = letter.dead.clone().unwrap();
     assert_eq!(letter.message.id, "killer");
-    assert_eq!((why.queue, why.reason.as_str()), (Some(JOBS), "delivery_limit"));
+    assert_eq!(
+        (why.queue, why.reason.as_str()),
+        (Some(JOBS), "delivery_limit")
+    );
     letter.settle(Settlement::Done).await.unwrap();
     assert_eq!(broker.ready(&JOBS).await.unwrap(), 0);
 }
@@ -195,11 +213,20 @@ async fn a_run_has_a_results_queue_while_it_lasts(broker: &dyn Broker) {
     let queue = Queue::Results(run.clone());
     let is_missing = async || {
         let published = broker.publish(&queue, Message::new("r", "")).await;
-        assert!(matches!(published, Err(QueueError::Missing { .. })), "{published:?}");
+        assert!(
+            matches!(published, Err(QueueError::Missing { .. })),
+            "{published:?}"
+        );
         let consumed = broker.consume(&queue, 1).await;
-        assert!(matches!(consumed, Err(QueueError::Missing { .. })), "{consumed:?}");
+        assert!(
+            matches!(consumed, Err(QueueError::Missing { .. })),
+            "{consumed:?}"
+        );
         let counted = broker.ready(&queue).await;
-        assert!(matches!(counted, Err(QueueError::Missing { .. })), "{counted:?}");
+        assert!(
+            matches!(counted, Err(QueueError::Missing { .. })),
+            "{counted:?}"
+        );
     };
     is_missing().await;
     broker.declare(&queue).await.unwrap();
@@ -218,7 +245,10 @@ async fn a_retry_whose_queue_is_gone_is_not_lost(broker: &dyn Broker) {
     let run = RunId::new("gone").unwrap();
     let queue = Queue::Results(run.clone());
     broker.declare(&queue).await.unwrap();
-    broker.publish(&queue, Message::new("homeless", "")).await.unwrap();
+    broker
+        .publish(&queue, Message::new("homeless", ""))
+        .await
+        .unwrap();
     let mut consumer = broker.consume(&queue, 1).await.unwrap();
     let after = Duration::from_millis(300);
     let delivery = next(&mut consumer).await;
@@ -227,7 +257,10 @@ async fn a_retry_whose_queue_is_gone_is_not_lost(broker: &dyn Broker) {
     broker.delete(&run).await.unwrap();
     let mut dead = broker.consume(&Queue::Dead, 1).await.unwrap();
     let letter = next(&mut dead).await;
-    assert_eq!((letter.message.id.as_str(), letter.message.attempt), ("homeless", 2));
+    assert_eq!(
+        (letter.message.id.as_str(), letter.message.attempt),
+        ("homeless", 2)
+    );
     assert_eq!(letter.dead.clone().unwrap().queue, Some(queue));
     letter.settle(Settlement::Done).await.unwrap();
 }
@@ -242,23 +275,38 @@ async fn a_missing_queue_is_told_to_the_right_publisher(broker: &dyn Broker) {
     let (published, refused) = tokio::join!(there, not_there);
     assert_eq!(published.unwrap(), N as u64);
     for refused in refused {
-        assert!(matches!(refused, Err(QueueError::Missing { .. })), "{refused:?}");
+        assert!(
+            matches!(refused, Err(QueueError::Missing { .. })),
+            "{refused:?}"
+        );
     }
     let mut consumer = broker.consume(&JOBS, N as u16).await.unwrap();
     for _ in 0..N {
-        next(&mut consumer).await.settle(Settlement::Done).await.unwrap();
+        next(&mut consumer)
+            .await
+            .settle(Settlement::Done)
+            .await
+            .unwrap();
     }
 }
 
 async fn messages_have_a_largest_size(broker: &dyn Broker) {
     let body = vec![7; MAX_MESSAGE_BYTES + 1];
-    let refused = broker.publish(&JOBS, Message::new("big", body.clone())).await;
-    assert!(matches!(refused, Err(QueueError::TooLarge { .. })), "{refused:?}");
+    let refused = broker
+        .publish(&JOBS, Message::new("big", body.clone()))
+        .await;
+    assert!(
+        matches!(refused, Err(QueueError::TooLarge { .. })),
+        "{refused:?}"
+    );
     let largest = Message::new("big", body[1..].to_vec());
     broker.publish(&JOBS, largest.clone()).await.unwrap();
     let mut consumer = broker.consume(&JOBS, 1).await.unwrap();
     let delivery = next(&mut consumer).await;
-    assert!(delivery.message == largest, "the largest message came back another");
+    assert!(
+        delivery.message == largest,
+        "the largest message came back another"
+    );
     delivery.settle(Settlement::Done).await.unwrap();
 }
 
@@ -286,7 +334,13 @@ async fn a_lease_has_one_holder(broker: &dyn Broker) {
     let run = RunId::new("one").unwrap();
     let mut held = broker.lease(&run).await.unwrap().expect("a free lease");
     assert!(broker.lease(&run).await.unwrap().is_none());
-    assert!(broker.lease(&RunId::new("other").unwrap()).await.unwrap().is_some());
+    assert!(
+        broker
+            .lease(&RunId::new("other").unwrap())
+            .await
+            .unwrap()
+            .is_some()
+    );
     assert!(timeout(QUIET, held.lost()).await.is_err(), "the lease went");
     held.release().await;
     let again = broker.lease(&run).await.unwrap().expect("a released lease");
@@ -297,5 +351,7 @@ async fn a_lease_has_one_holder(broker: &dyn Broker) {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    timeout(DEADLINE, taken).await.expect("a lease whose holder is gone");
+    timeout(DEADLINE, taken)
+        .await
+        .expect("a lease whose holder is gone");
 }

@@ -110,13 +110,21 @@ impl Consumer for AmqpConsumer {
             };
             self.open = None;
             self.failures += 1;
-            match (failure, self.broker.options().backoff.after_with_jitter(self.failures)) {
+            match (
+                failure,
+                self.broker
+                    .options()
+                    .backoff
+                    .after_with_jitter(self.failures),
+            ) {
                 (Failure::Passing(source), Some(wait)) => {
                     tracing::info!(queue = %self.queue, %source, "subscribing anew");
                     sleep(wait).await;
                 }
                 (failure, _) => {
-                    return Err(self.broker.error(failure, &self.queue.to_string(), self.failures));
+                    return Err(self
+                        .broker
+                        .error(failure, &self.queue.to_string(), self.failures));
                 }
             }
         }
@@ -142,7 +150,8 @@ impl Settle for AmqpHandle {
         match settlement {
             Settlement::Done => {}
             Settlement::Retry { after } => {
-                let target = names.to_queue_after(&self.queue, self.broker.options().wait_for(after));
+                let target =
+                    names.to_queue_after(&self.queue, self.broker.options().wait_for(after));
                 self.broker.put(&target, message.for_retry(), None).await?;
             }
             Settlement::Reject { reason } => {

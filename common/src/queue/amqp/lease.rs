@@ -56,6 +56,9 @@ impl Lease for AmqpLease {
 
     async fn release(self: Box<Self>) {
         // A connection that cannot be closed is gone already.
-        let _gone = self.connection.close(REPLY_SUCCESS, "released".into()).await;
+        let _gone = self
+            .connection
+            .close(REPLY_SUCCESS, "released".into())
+            .await;
     }
 }

@@ -151,7 +151,10 @@ impl AmqpBroker {
     /// Throws a connection away that does not do, unless that has happened already.
     async fn discard(&self, session: &Arc<Session>) {
         let mut current = self.shared.session.lock().await;
-        if current.as_ref().is_some_and(|current| Arc::ptr_eq(current, session)) {
+        if current
+            .as_ref()
+            .is_some_and(|current| Arc::ptr_eq(current, session))
+        {
             *current = None;
         }
     }

@@ -25,8 +25,8 @@ impl Names {
     /// `None` unless the namespace is 1 to [`MAX_NAMESPACE_BYTES`] of `a`–`z`, `0`–`9`, `-`, `_`, `.`.
     pub(super) fn new(namespace: &str) -> Option<Self> {
         let allowed = |byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-' | b'_' | b'.');
-        let usable = (1..=MAX_NAMESPACE_BYTES).contains(&namespace.len())
-            && namespace.bytes().all(allowed);
+        let usable =
+            (1..=MAX_NAMESPACE_BYTES).contains(&namespace.len()) && namespace.bytes().all(allowed);
         usable.then(|| Self {
             namespace: namespace.to_owned(),
         })
@@ -113,7 +113,12 @@ mod tests {
         ] {
             assert_eq!(names.parse(&names.queue(&queue)), Some(queue));
         }
-        for foreign in ["plumbline", "plumbline.jobs.other", "other.dead", "plumblinedead"] {
+        for foreign in [
+            "plumbline",
+            "plumbline.jobs.other",
+            "other.dead",
+            "plumblinedead",
+        ] {
             assert_eq!(names.parse(foreign), None, "{foreign}");
         }
     }

@@ -75,8 +75,11 @@ impl Session {
             .await?;
         match confirmation {
             Confirmation::Ack(None) => Ok(()),
-            // An unroutable message is acknowledged, too.
-            Confirmation::Ack(Some(_)) | Confirmation::Nack(Some(_)) => Err(Failure::Missing),
+            // An unroutable message is acknowledged, too. Runs come and go: their channels must not stay.
+            Confirmation::Ack(Some(_)) | Confirmation::Nack(Some(_)) => {
+                self.publishing.lock().await.remove(target);
+                Err(Failure::Missing)
+            }
             Confirmation::Nack(None) => Err(Failure::Passing("the queue is full".into())),
             Confirmation::NotRequested => {
                 Err(Failure::Passing("the channel confirms nothing".into()))

@@ -62,7 +62,10 @@ pub(super) async fn declare_work_queue(
     let name = names.queue(work);
     let mut arguments = dead_lettered_to(&names.dead_exchange());
     // The broker counts what comes after the first delivery.
-    arguments.insert("x-delivery-limit".into(), AMQPValue::LongInt(MAX_DELIVERIES as i32 - 1));
+    arguments.insert(
+        "x-delivery-limit".into(),
+        AMQPValue::LongInt(MAX_DELIVERIES as i32 - 1),
+    );
     queue(channel, &name, arguments).await?;
     bind(channel, &name, &names.work_exchange(), &name).await?;
     bind(channel, &name, &names.back_exchange(), &name).await
@@ -99,7 +102,9 @@ async fn exchange(
 
 async fn queue(channel: &Channel, name: &str, arguments: FieldTable) -> lapin::Result<()> {
     let options = QueueDeclareOptions::durable();
-    channel.queue_declare(name.into(), options, arguments).await?;
+    channel
+        .queue_declare(name.into(), options, arguments)
+        .await?;
     Ok(())
 }
 

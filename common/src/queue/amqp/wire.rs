@@ -27,7 +27,10 @@ const MAX_REASON_BYTES: usize = 4096;
 pub(super) fn properties(message: &Message, reason: Option<&str>) -> BasicProperties {
     let mut headers = FieldTable::default();
     headers.insert(ID.into(), text(&message.id));
-    headers.insert(ATTEMPT.into(), AMQPValue::LongLongInt(message.attempt.into()));
+    headers.insert(
+        ATTEMPT.into(),
+        AMQPValue::LongLongInt(message.attempt.into()),
+    );
     if let Some(reason) = reason {
         let end = reason.floor_char_boundary(MAX_REASON_BYTES);
         headers.insert(REASON.into(), text(&reason[..end]));
@@ -52,7 +55,11 @@ pub(super) fn received(delivery: &mut Delivery, names: &Names) -> (Message, u32,
             .or_else(|| latest_death(&headers))
             .unwrap_or_else(|| "unknown".to_owned()),
     };
-    (message, count_of(&headers, DELIVERY_COUNT).unwrap_or(0), dead)
+    (
+        message,
+        count_of(&headers, DELIVERY_COUNT).unwrap_or(0),
+        dead,
+    )
 }
 
 fn latest_death(headers: &FieldTable) -> Option<String> {

@@ -8,8 +8,8 @@ use aws_sdk_s3::types::{CompletedMultipartUpload, CompletedPart};
 use bytes::Bytes;
 use tokio::task::spawn_blocking;
 
-use super::failure::{Failure, from_sdk};
 use super::S3Store;
+use super::failure::{Failure, from_sdk};
 use crate::store::error::Source;
 use crate::store::{ObjectKey, ObjectStore, StoreError};
 
@@ -38,7 +38,9 @@ pub(super) async fn put_file(
     let part_bytes = store.part_bytes.max(bytes.div_ceil(MAX_PARTS));
     let read = async |start: u64| {
         let length = part_bytes.min(bytes - start);
-        let file = opened.try_clone().map_err(|source| unreadable(source.into()))?;
+        let file = opened
+            .try_clone()
+            .map_err(|source| unreadable(source.into()))?;
         let part = spawn_blocking(move || {
             let mut part = vec![0; length as usize];
             file.read_exact_at(&mut part, start).map(|()| part)
@@ -147,9 +149,7 @@ impl<'a> Upload<'a> {
             .await;
         match completed {
             // An attempt whose answer was lost may have completed it: the upload is then gone.
-            Err(StoreError::NotFound { .. })
-                if self.store.head(self.key).await?.bytes == bytes =>
-            {
+            Err(StoreError::NotFound { .. }) if self.store.head(self.key).await?.bytes == bytes => {
                 Ok(())
             }
             completed => completed.map(|_| ()),
