@@ -53,17 +53,8 @@ end() {
     rm -f "$2"
 }
 
-# Seen on 3.10.8: after a kill, a quorum queue of one replica that was in use may stay a follower for good,
-# and nobody can use it. What is in it is safe; this has it elect itself.
-elect_leaders() {
-    "$sbin/rabbitmqctl" -q eval '
-        [ra:trigger_election(Replica) || Queue <- rabbit_amqqueue:list_by_type(rabbit_quorum_queue),
-            {Name, _} = Replica <- [amqqueue:get_pid(Queue)], element(1, sys:get_state(Name)) =:= follower].' >/dev/null
-}
-
 case $1 in
     start)
-        restarted=$(ls -A "$dir/data")
         # Erlang would leave its port mapper behind as a daemon: run it where its process id is known.
         if ! alive "$dir/epmd.pid"; then
             epmd -port "$ERL_EPMD_PORT" -address 127.0.0.1 </dev/null >"$dir/log/epmd" 2>&1 &
@@ -74,7 +65,6 @@ case $1 in
         started=$!
         for _ in $(seq $((deadline_s * 5))); do
             if (exec 3<>"/dev/tcp/127.0.0.1/$RABBITMQ_NODE_PORT") 2>/dev/null; then
-                [ -z "$restarted" ] || elect_leaders
                 exit 0
             fi
             kill -0 "$started" 2>/dev/null || break

@@ -48,19 +48,19 @@ impl AmqpConsumer {
     }
 
     async fn subscribe(&self) -> Result<Open, QueueError> {
-        let name = self.broker.names().queue(&self.queue);
-        let slots = self.slots;
+        let name = &self.broker.names().queue(&self.queue);
         self.broker
             .retried(&self.queue.to_string(), |session| {
-                let name = name.clone();
                 async move {
                     let channel = session.channel().await?;
                     // On every channel anew, and before the subscription: else the broker hands out
                     // all it has.
-                    channel.basic_qos(slots, BasicQosOptions::default()).await?;
+                    channel
+                        .basic_qos(self.slots, BasicQosOptions::default())
+                        .await?;
                     let stream = channel
                         .basic_consume(
-                            name.into(),
+                            name.as_str().into(),
                             "".into(),
                             BasicConsumeOptions::default(),
                             FieldTable::default(),

@@ -13,8 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
-use lapin::options::{QueueDeclareOptions, QueueDeleteOptions};
-use lapin::types::FieldTable;
+use lapin::options::QueueDeleteOptions;
 use lapin::uri::AMQPUri;
 use tokio::sync::Mutex;
 use tokio::time::{sleep, timeout};
@@ -216,9 +215,13 @@ impl Broker for AmqpBroker {
         let Queue::Results(_) = queue else {
             return Ok(());
         };
+        let name = &self.names().queue(queue);
         self.retried(&queue.to_string(), |session| async move {
-            let channel = session.channel().await?;
-            Ok(topology::declare_work_queue(&channel, self.names(), queue).await?)
+            session
+                .declared_safely(name, async |channel| {
+                    topology::declare_work_queue(&channel, self.names(), queue).await
+                })
+                .await
         })
         .await
     }
@@ -235,35 +238,18 @@ impl Broker for AmqpBroker {
     }
 
     async fn ready(&self, queue: &Queue) -> Result<u64, QueueError> {
-        let name = self.names().queue(queue);
-        self.retried(&queue.to_string(), |session| {
-            let name = name.clone();
-            async move {
-                let channel = session.channel().await?;
-                let declared = channel
-                    .queue_declare(
-                        name.into(),
-                        QueueDeclareOptions::default().passive(),
-                        FieldTable::default(),
-                    )
-                    .await?;
-                Ok(declared.message_count().into())
-            }
-        })
-        .await
+        let name = &self.names().queue(queue);
+        let count = async |session: Arc<Session>| session.ready(name).await;
+        Ok(self.retried(&queue.to_string(), count).await?.into())
     }
 
     async fn delete(&self, run: &RunId) -> Result<(), QueueError> {
-        let name = self.names().queue(&Queue::Results(run.clone()));
-        self.retried(&name, |session| {
-            let name = name.clone();
-            async move {
-                let channel = session.channel().await?;
-                channel
-                    .queue_delete(name.into(), QueueDeleteOptions::default())
-                    .await?;
-                Ok(())
-            }
+        let name = &self.names().queue(&Queue::Results(run.clone()));
+        self.retried(name, |session| async move {
+            let channel = session.channel().await?;
+            let options = QueueDeleteOptions::default();
+            channel.queue_delete(name.as_str().into(), options).await?;
+            Ok(())
         })
         .await
     }

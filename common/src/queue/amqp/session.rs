@@ -5,18 +5,25 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use lapin::options::{BasicPublishOptions, ConfirmSelectOptions};
+use lapin::options::{BasicPublishOptions, ConfirmSelectOptions, QueueDeclareOptions};
+use lapin::types::FieldTable;
 use lapin::uri::AMQPUri;
 use lapin::{Channel, Confirmation, Connection, ConnectionProperties};
 use tokio::sync::Mutex;
+use tokio::time::sleep;
 
 use super::failure::Failure;
 use super::names::{Names, Target};
 use super::{topology, wire};
-use crate::queue::Message;
+use crate::queue::{JobKind, Message, Queue};
 
 /// AMQP's reply code for an orderly end.
 pub(super) const REPLY_SUCCESS: u16 = 200;
+
+/// How long a new queue is left alone. RabbitMQ (3.10.8) confirms its declaration at once, but writes its
+/// name to the disk half a second later; killed in between, it comes back with an empty queue that elects
+/// no leader, and every confirmed message in it is lost.
+const NEW_QUEUE_SETTLES: Duration = Duration::from_millis(1500);
 
 #[derive(Debug)]
 pub(super) struct Session {
@@ -33,13 +40,46 @@ impl Session {
         names: &Names,
         waits: &[Duration],
     ) -> Result<Self, Failure> {
-        let connection = connect(uri).await?;
-        let channel = connection.create_channel().await?;
-        topology::declare(&channel, names, waits).await?;
-        Ok(Self {
-            connection,
+        let session = Self {
+            connection: connect(uri).await?,
             publishing: Mutex::default(),
-        })
+        };
+        let last = names.queue(&Queue::Jobs(JobKind::Fused));
+        session
+            .declared_safely(&last, async |channel| {
+                topology::declare(&channel, names, waits).await
+            })
+            .await?;
+        Ok(session)
+    }
+
+    /// Declares something whose last queue is called `last`, and where that is new waits until a power cut
+    /// cannot take it back.
+    pub(super) async fn declared_safely(
+        &self,
+        last: &str,
+        declare: impl AsyncFnOnce(Channel) -> lapin::Result<()>,
+    ) -> Result<(), Failure> {
+        let is_new = match self.ready(last).await {
+            Ok(_messages) => false,
+            Err(Failure::Missing) => true,
+            Err(failure) => return Err(failure),
+        };
+        declare(self.channel().await?).await?;
+        if is_new {
+            sleep(NEW_QUEUE_SETTLES).await;
+        }
+        Ok(())
+    }
+
+    /// Messages that wait in a queue.
+    pub(super) async fn ready(&self, queue: &str) -> Result<u32, Failure> {
+        let passive = QueueDeclareOptions::default().passive();
+        let channel = self.channel().await?;
+        let declared = channel
+            .queue_declare(queue.into(), passive, FieldTable::default())
+            .await?;
+        Ok(declared.message_count())
     }
 
     pub(super) fn is_alive(&self) -> bool {
