@@ -15,6 +15,7 @@ fn fixture(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/fixtures/{name}.msgpack"))
 }
 
+#[expect(clippy::unwrap_used, reason = "a fixed name")]
 fn file_job() -> Job {
     Job {
         video: VideoId::new("task/ünï \"1\"\n.mp4").unwrap(),

@@ -1,5 +1,6 @@
 //! Queues: one contract for the process' own and for RabbitMQ, then what only a network can do.
 
+#[cfg(test)]
 mod support;
 
 use std::time::Duration;

@@ -1,34 +1,17 @@
 //! A broker that is killed in the middle of everything. Needs the broker for itself: apart from the other
 //! tests, which would see their connections go.
 
+#[cfg(test)]
 mod support;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
-use std::process::Command;
 use std::time::Duration;
 
 use plumbline_common::id::RunId;
 use plumbline_common::queue::{AmqpBroker, Broker, QueueError, Settlement, publish_all};
 use support::queue_contract::{JOBS, next, numbered};
-use support::{DEADLINE, amqp_options, server};
+use support::{DEADLINE, amqp_options, broker_script, server};
 use tokio::time::timeout;
-
-/// Runs `deploy/broker.sh` on the tests' own broker.
-fn broker_script(words: &[&str]) -> String {
-    let script = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../deploy/broker.sh");
-    let output = Command::new(script)
-        .arg(server("PLUMBLINE_TEST_BROKER_DIR"))
-        .args(words)
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{words:?}: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    String::from_utf8(output.stdout).unwrap()
-}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_broker_loses_nothing_and_slots_stay_bounded() {

@@ -1,5 +1,6 @@
 //! Object stores: one contract for a directory and for S3, then what only a network can do.
 
+#[cfg(test)]
 mod support;
 
 use std::time::Duration;

@@ -325,7 +325,7 @@ struct LocalLease {
 #[async_trait]
 impl Lease for LocalLease {
     async fn lost(&mut self) {
-        std::future::pending().await
+        std::future::pending::<()>().await;
     }
 
     async fn release(self: Box<Self>) {}

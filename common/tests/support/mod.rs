@@ -6,6 +6,8 @@ pub(crate) mod faulty_proxy;
 pub(crate) mod queue_contract;
 pub(crate) mod store_contract;
 
+use std::path::PathBuf;
+use std::process::Command;
 use std::time::Duration;
 
 use plumbline_common::backoff::Backoff;
@@ -20,6 +22,22 @@ pub(crate) fn server(variable: &str) -> String {
     std::env::var(variable).unwrap_or_else(|_| {
         panic!("{variable} is not set: this test needs real servers; run deploy/test.sh fleet, or deploy/servers.sh COMMAND")
     })
+}
+
+/// Runs `deploy/broker.sh` on the tests' own broker.
+pub(crate) fn broker_script(words: &[&str]) -> String {
+    let script = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../deploy/broker.sh");
+    let output = Command::new(script)
+        .arg(server("PLUMBLINE_TEST_BROKER_DIR"))
+        .args(words)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{words:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    String::from_utf8(output.stdout).unwrap()
 }
 
 /// A name that no other test and no earlier run has.
