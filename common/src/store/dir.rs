@@ -62,6 +62,13 @@ impl DirStore {
 
 #[async_trait]
 impl ObjectStore for DirStore {
+    fn address(&self, key: &ObjectKey) -> String {
+        self.root
+            .join(key.as_str().trim_start_matches('/'))
+            .display()
+            .to_string()
+    }
+
     fn list(&self, prefix: &str) -> BoxStream<'static, Result<Vec<ObjectMeta>, StoreError>> {
         let (pages, receiver) = mpsc::channel(PAGES_AHEAD);
         let (root, prefix) = (self.root.clone(), prefix.to_owned());

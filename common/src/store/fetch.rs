@@ -21,7 +21,7 @@ pub async fn fetch(
     meta: &ObjectMeta,
     max_bytes: u64,
 ) -> Result<Vec<u8>, StoreError> {
-    check_size(meta, max_bytes)?;
+    check_size(store, meta, max_bytes)?;
     let whole = Vec::with_capacity(usize::try_from(meta.bytes).unwrap_or(0));
     ranges(store, meta)
         .try_fold(whole, async |mut whole, range| {
@@ -42,7 +42,7 @@ pub async fn fetch_to_file(
     max_bytes: u64,
     file: &Path,
 ) -> Result<(), StoreError> {
-    check_size(meta, max_bytes)?;
+    check_size(store, meta, max_bytes)?;
     let not_written = |source: std::io::Error| StoreError::Unusable {
         object: file.display().to_string(),
         source: source.into(),
@@ -57,10 +57,14 @@ pub async fn fetch_to_file(
     out.flush().await.map_err(not_written)
 }
 
-fn check_size(meta: &ObjectMeta, max_bytes: u64) -> Result<(), StoreError> {
+fn check_size(
+    store: &dyn ObjectStore,
+    meta: &ObjectMeta,
+    max_bytes: u64,
+) -> Result<(), StoreError> {
     if meta.bytes > max_bytes {
         return Err(StoreError::TooLarge {
-            object: meta.key.to_string(),
+            object: store.address(&meta.key),
             bytes: meta.bytes,
             limit: max_bytes,
         });

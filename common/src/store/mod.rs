@@ -68,6 +68,9 @@ impl ObjectMeta {
 /// A place for objects; every error names the object and what to do.
 #[async_trait]
 pub trait ObjectStore: Debug + Send + Sync {
+    /// The whole address of an object, for people.
+    fn address(&self, key: &ObjectKey) -> String;
+
     /// The objects whose keys begin with `prefix`, in the order of their bytes, page by page.
     fn list(&self, prefix: &str) -> BoxStream<'static, Result<Vec<ObjectMeta>, StoreError>>;
 

@@ -52,7 +52,7 @@ async fn read_back(
     content: &[u8],
 ) -> Result<(), StoreError> {
     let wrong = |what: &str| StoreError::Unusable {
-        object: key.to_string(),
+        object: store.address(key),
         source: format!("the store {what}").into(),
     };
     let meta = store.head(key).await?;

@@ -147,7 +147,7 @@ impl S3Store {
         format!("{}{key}", self.prefix)
     }
 
-    fn address(&self, name: &str) -> String {
+    fn address_of(&self, name: &str) -> String {
         format!("s3://{}/{}{name}", self.bucket, self.prefix)
     }
 
@@ -169,11 +169,11 @@ impl S3Store {
             let again = self.backoff.after_with_jitter(attempts);
             match (failure, again) {
                 (Failure::Passing(source), Some(wait)) => {
-                    tracing::debug!(object = self.address(name), attempts, %source, "trying again");
+                    tracing::debug!(object = self.address_of(name), attempts, %source, "trying again");
                     tokio::time::sleep(wait).await;
                     attempts += 1;
                 }
-                (failure, _) => return Err(failure.of(self.address(name), attempts)),
+                (failure, _) => return Err(failure.of(self.address_of(name), attempts)),
             }
         }
     }
@@ -247,6 +247,10 @@ impl S3Store {
 
 #[async_trait]
 impl ObjectStore for S3Store {
+    fn address(&self, key: &ObjectKey) -> String {
+        self.address_of(key.as_str())
+    }
+
     fn list(&self, prefix: &str) -> BoxStream<'static, Result<Vec<ObjectMeta>, StoreError>> {
         enum Next {
             First,

@@ -169,7 +169,7 @@ impl<'a> Upload<'a> {
             .await;
         if let Err(error) = aborted {
             tracing::warn!(
-                object = self.store.address(self.key.as_str()),
+                object = self.store.address(self.key),
                 error = %aws_sdk_s3::error::DisplayErrorContext(&error),
                 "an unfinished upload stays; set a lifecycle rule for incomplete uploads"
             );
