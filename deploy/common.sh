@@ -21,6 +21,15 @@ apt_install() {
     "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >&2
 }
 
+# A free port of 127.0.0.1, below the range from which the kernel hands out its own.
+free_port() {
+    local port
+    while :; do
+        port=$((10000 + RANDOM % 20000))
+        (exec 3<>"/dev/tcp/127.0.0.1/$port") 2>/dev/null || { echo "$port"; return; }
+    done
+}
+
 need_cargo() {
     if ! command -v cargo >/dev/null; then
         [ -f "$HOME/.cargo/env" ] && . "$HOME/.cargo/env"

@@ -5,6 +5,7 @@
 #   cli       end-to-end tests of the built command
 #   parity    numbers of the reference implementations
 #   numerics  flow, geometry and statistics, with their extremes
+#   fleet     queues and object stores against real servers, which it installs and starts
 # Without a name: all of them.
 . "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 
@@ -24,11 +25,11 @@ lint() {
     RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --document-private-items --quiet
 }
 
-# run FILTER: the tests that a nextest filter names; the command under test is built first.
+# run FILTER [WRAPPER]: the tests that a nextest filter names; the command under test is built first.
 run() {
     say "tests: $1"
     cargo build --locked --bin plumbline
-    cargo nextest run --locked --workspace --no-fail-fast -E "$1"
+    ${2:-} cargo nextest run --locked --workspace --no-fail-fast -E "$1"
 }
 
 # What the Python prototype finds on ten clips, where prototype and clips are at hand; made anew when one
@@ -51,12 +52,15 @@ export_prototype() {
 
 cli='package(plumbline-tests)'
 parity='binary(/^parity/)'
+fleet='package(plumbline-common) and binary(/^(queue|store|restart)$/)'
+servers=deploy/servers.sh
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
-    unit) lint; run "not ($cli) and not ($parity) and not ($numerics)" ;;
+    unit) lint; run "not ($cli) and not ($parity) and not ($numerics) and not ($fleet)" ;;
     cli) run "$cli" ;;
     parity) export_prototype; run "$parity" ;;
     numerics) run "$numerics" ;;
-    all) lint; export_prototype; run 'all()' ;;
-    *) echo "unknown suite $suite: unit, cli, parity or numerics" >&2; exit 2 ;;
+    fleet) run "$fleet" "$servers" ;;
+    all) lint; export_prototype; run 'all()' "$servers" ;;
+    *) echo "unknown suite $suite: unit, cli, parity, numerics or fleet" >&2; exit 2 ;;
 esac

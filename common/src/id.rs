@@ -40,3 +40,98 @@ impl std::fmt::Display for VideoId {
         f.write_str(&self.0)
     }
 }
+
+/// A run's name on a fleet: part of queue names and object keys.
+///
+/// Invariants: 1 to [`RunId::MAX_BYTES`] of `a`–`z`, `0`–`9`, `-` and `_`, not beginning with `-`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct RunId(String);
+
+/// Why a text is no run id.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error(
+    "{name:?} is no name for a run: use 1 to {} of a-z, 0-9, '-' and '_', not beginning with '-'",
+    RunId::MAX_BYTES
+)]
+pub struct NotARunId {
+    /// The text.
+    pub name: String,
+}
+
+impl RunId {
+    /// Longest run id, in bytes: a digest in hex fits.
+    pub const MAX_BYTES: usize = 64;
+
+    /// Takes a name.
+    ///
+    /// # Errors
+    /// [`NotARunId`].
+    pub fn new(name: impl Into<String>) -> Result<Self, NotARunId> {
+        let name = name.into();
+        let allowed = |byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-' | b'_');
+        let usable = (1..=Self::MAX_BYTES).contains(&name.len())
+            && name.bytes().all(allowed)
+            && !name.starts_with('-');
+        if usable {
+            Ok(Self(name))
+        } else {
+            Err(NotARunId { name })
+        }
+    }
+
+    /// The name.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl TryFrom<String> for RunId {
+    type Error = NotARunId;
+
+    fn try_from(name: String) -> Result<Self, NotARunId> {
+        Self::new(name)
+    }
+}
+
+impl From<RunId> for String {
+    fn from(run: RunId) -> Self {
+        run.0
+    }
+}
+
+impl std::fmt::Display for RunId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn run_ids_are_safe_in_keys_and_queue_names() {
+        let longest = "f".repeat(RunId::MAX_BYTES);
+        for name in ["a", "night_2026-11-25", longest.as_str()] {
+            assert_eq!(RunId::new(name).unwrap().as_str(), name);
+        }
+        let too_long = "f".repeat(RunId::MAX_BYTES + 1);
+        for name in [
+            "",
+            "-a",
+            "A",
+            "a/b",
+            "..",
+            "a.b",
+            "a\n",
+            "ü",
+            too_long.as_str(),
+        ] {
+            assert!(RunId::new(name).is_err(), "{name}");
+            let wire = rmp_serde::to_vec(name).unwrap();
+            assert!(rmp_serde::from_slice::<RunId>(&wire).is_err(), "{name}");
+        }
+    }
+}

@@ -70,7 +70,6 @@ fn full_row(video: &str, carried: Value) -> Row {
             aepe_px: Some(-0.0),
             aepe_worldscore_px: Some(1.0),
             occluded_fraction: Some(0.0),
-            layer_residual_px: Some(0.25),
             piecewise_residual: Some(0.1),
             appearance_ratio: Some(2.0),
             layer_acceleration: Some(0.11),

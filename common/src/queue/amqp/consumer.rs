@@ -1,0 +1,172 @@
+//! Receiving from a RabbitMQ queue, through broken connections and restarted brokers.
+
+use async_trait::async_trait;
+use futures_util::StreamExt;
+use lapin::options::{BasicAckOptions, BasicConsumeOptions, BasicQosOptions};
+use lapin::types::FieldTable;
+use lapin::{Acker, Channel};
+use tokio::time::{sleep, timeout};
+
+use super::failure::Failure;
+use super::wire;
+use super::{AmqpBroker, PATIENCE};
+use crate::queue::{Consumer, Delivery, Message, Queue, QueueError, Settle, Settlement};
+
+#[derive(Debug)]
+pub(super) struct AmqpConsumer {
+    broker: AmqpBroker,
+    queue: Queue,
+    slots: u16,
+    open: Option<Open>,
+    /// Failures since the last delivery.
+    failures: u32,
+}
+
+/// A subscription on a channel of its own; both end when it is dropped, and what is unsettled returns.
+#[derive(Debug)]
+struct Open {
+    stream: lapin::Consumer,
+    _channel: Channel,
+}
+
+impl AmqpConsumer {
+    /// Subscribes.
+    pub(super) async fn start(
+        broker: AmqpBroker,
+        queue: Queue,
+        slots: u16,
+    ) -> Result<Self, QueueError> {
+        let mut consumer = Self {
+            broker,
+            queue,
+            slots,
+            open: None,
+            failures: 0,
+        };
+        consumer.open = Some(consumer.subscribe().await?);
+        Ok(consumer)
+    }
+
+    async fn subscribe(&self) -> Result<Open, QueueError> {
+        let name = &self.broker.names().queue(&self.queue);
+        self.broker
+            .retried(&self.queue.to_string(), |session| {
+                async move {
+                    let channel = session.channel().await?;
+                    // On every channel anew, and before the subscription: else the broker hands out
+                    // all it has.
+                    channel
+                        .basic_qos(self.slots, BasicQosOptions::default())
+                        .await?;
+                    let stream = channel
+                        .basic_consume(
+                            name.as_str().into(),
+                            "".into(),
+                            BasicConsumeOptions::default(),
+                            FieldTable::default(),
+                        )
+                        .await?;
+                    Ok(Open {
+                        stream,
+                        _channel: channel,
+                    })
+                }
+            })
+            .await
+    }
+}
+
+#[async_trait]
+impl Consumer for AmqpConsumer {
+    async fn next(&mut self) -> Result<Delivery, QueueError> {
+        loop {
+            let open = match &mut self.open {
+                Some(open) => open,
+                None => {
+                    let open = self.subscribe().await?;
+                    self.open.insert(open)
+                }
+            };
+            let failure = match open.stream.next().await {
+                // Buffered from a channel that is closed: it comes again, so no work is begun on it.
+                Some(Ok(delivery)) if !delivery.acker.usable() => continue,
+                Some(Ok(mut delivery)) => {
+                    self.failures = 0;
+                    let (message, redeliveries, dead) =
+                        wire::received(&mut delivery, self.broker.names());
+                    return Ok(Delivery {
+                        message,
+                        redeliveries,
+                        dead: (self.queue == Queue::Dead).then_some(dead),
+                        handle: Box::new(AmqpHandle {
+                            broker: self.broker.clone(),
+                            queue: self.queue.clone(),
+                            acker: delivery.acker,
+                        }),
+                    });
+                }
+                Some(Err(error)) => Failure::from(error),
+                None => Failure::Passing("the broker cancelled the subscription".into()),
+            };
+            self.open = None;
+            self.failures += 1;
+            match (
+                failure,
+                self.broker
+                    .options()
+                    .backoff
+                    .after_with_jitter(self.failures),
+            ) {
+                (Failure::Passing(source), Some(wait)) => {
+                    tracing::info!(queue = %self.queue, %source, "subscribing anew");
+                    sleep(wait).await;
+                }
+                (failure, _) => {
+                    return Err(self
+                        .broker
+                        .error(failure, &self.queue.to_string(), self.failures));
+                }
+            }
+        }
+    }
+}
+
+#[derive(Debug)]
+struct AmqpHandle {
+    broker: AmqpBroker,
+    queue: Queue,
+    acker: Acker,
+}
+
+#[async_trait]
+impl Settle for AmqpHandle {
+    async fn settle(
+        self: Box<Self>,
+        message: Message,
+        settlement: Settlement,
+    ) -> Result<(), QueueError> {
+        let id = message.id.clone();
+        let names = self.broker.names();
+        match settlement {
+            Settlement::Done => {}
+            Settlement::Retry { after } => {
+                let target =
+                    names.to_queue_after(&self.queue, self.broker.options().wait_for(after));
+                self.broker.put(&target, message.for_retry(), None).await?;
+            }
+            Settlement::Reject { reason } => {
+                let target = names.to_dead(&self.queue);
+                self.broker.put(&target, message, Some(reason)).await?;
+            }
+        }
+        let acked = timeout(PATIENCE, self.acker.ack(BasicAckOptions::default())).await;
+        match acked {
+            Ok(Ok(true)) => Ok(()),
+            // False: the channel was closed, and the broker has taken the message back.
+            Ok(Ok(false) | Err(_)) | Err(_) => Err(QueueError::Lost {
+                queue: self.queue.to_string(),
+                message: id,
+            }),
+        }
+    }
+}

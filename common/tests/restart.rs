@@ -1,0 +1,116 @@
+//! A broker that is killed in the middle of everything. Needs the broker for itself: apart from the other
+//! tests, which would see their connections go.
+
+#[cfg(test)]
+mod support;
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use plumbline_common::id::RunId;
+use plumbline_common::queue::{AmqpBroker, Broker, QueueError, Settlement, publish_all};
+use support::queue_contract::{JOBS, next, numbered};
+use support::{DEADLINE, amqp_options, broker_script, server};
+use tokio::time::timeout;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_killed_broker_loses_nothing_and_slots_stay_bounded() {
+    const MESSAGES: usize = 3000;
+    const SLOTS: u16 = 8;
+    let options = amqp_options("restart");
+    let queue = format!("{}.{JOBS}", options.namespace);
+    let url = server("PLUMBLINE_TEST_AMQP_URL");
+    let broker = AmqpBroker::connect(&url, options).await.unwrap();
+    let mut lease = broker
+        .lease(&RunId::new("run").unwrap())
+        .await
+        .unwrap()
+        .unwrap();
+
+    let publisher = broker.clone();
+    let publishing =
+        tokio::spawn(async move { publish_all(&publisher, &JOBS, numbered(MESSAGES), 4).await });
+    let mut consumer = broker.consume(&JOBS, SLOTS).await.unwrap();
+    let mut times_received = BTreeMap::<String, u32>::new();
+    let in_hand = loop {
+        let delivery = next(&mut consumer).await;
+        *times_received
+            .entry(delivery.message.id.clone())
+            .or_default() += 1;
+        if times_received.len() == MESSAGES / 10 {
+            break delivery;
+        }
+        delivery.settle(Settlement::Done).await.unwrap();
+    };
+
+    assert!(
+        !publishing.is_finished(),
+        "publishing must go on into the outage"
+    );
+    let restart = tokio::task::spawn_blocking(|| {
+        broker_script(&["kill"]);
+        broker_script(&["start"]);
+    });
+    timeout(DEADLINE, lease.lost())
+        .await
+        .expect("the loss of the lease");
+    restart.await.unwrap();
+
+    // What was in hand is back at the broker: settling it says so.
+    let too_late = in_hand.settle(Settlement::Done).await;
+    assert!(
+        matches!(too_late, Err(QueueError::Lost { .. })),
+        "{too_late:?}"
+    );
+
+    // As many as there are slots, and the broker says the same of the same consumer.
+    let mut held = Vec::new();
+    for _ in 0..SLOTS {
+        held.push(next(&mut consumer).await);
+    }
+    assert!(
+        timeout(Duration::from_secs(1), consumer.next())
+            .await
+            .is_err()
+    );
+    // Its count follows within seconds.
+    let unsettled = || {
+        let counts = broker_script(&[
+            "ctl",
+            "-q",
+            "list_queues",
+            "name",
+            "messages_unacknowledged",
+        ]);
+        let count = counts.lines().find_map(|line| line.strip_prefix(&queue));
+        count.unwrap().trim().parse::<u16>().unwrap()
+    };
+    let counted = std::time::Instant::now();
+    while unsettled() != SLOTS {
+        assert!(unsettled() <= SLOTS && counted.elapsed() < DEADLINE);
+    }
+
+    for delivery in held {
+        *times_received
+            .entry(delivery.message.id.clone())
+            .or_default() += 1;
+        delivery.settle(Settlement::Done).await.unwrap();
+    }
+    while times_received.len() < MESSAGES {
+        let delivery = next(&mut consumer).await;
+        *times_received
+            .entry(delivery.message.id.clone())
+            .or_default() += 1;
+        delivery.settle(Settlement::Done).await.unwrap();
+    }
+    assert_eq!(publishing.await.unwrap().unwrap(), MESSAGES as u64);
+    let again = times_received.values().filter(|times| **times > 1).count();
+    println!("{again} of {MESSAGES} messages came more than once");
+    assert!(
+        broker
+            .lease(&RunId::new("run").unwrap())
+            .await
+            .unwrap()
+            .is_some()
+    );
+}
