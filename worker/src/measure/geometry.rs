@@ -159,8 +159,6 @@ fn edge_of(graph: &FlowGraph, residual: &EdgeResidual) -> AdjustedEdge {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "what cannot be measured fails the test")]
-
     use plumbline_vision::scene::{EdgeInput, Method, SceneKind};
 
     use super::*;

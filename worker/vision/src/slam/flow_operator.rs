@@ -275,8 +275,6 @@ impl<S: FlowSource> CorrespondenceOperator for FlowOperator<S> {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "what cannot be sampled fails the test")]
-
     use super::*;
 
     fn constant(width: usize, height: usize, vector: [f32; 2]) -> Flow {

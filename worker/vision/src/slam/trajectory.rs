@@ -246,8 +246,6 @@ fn at_common_times(estimate: &[TimedPose], truth: &[TimedPose]) -> Vec<(Se3, Se3
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "what cannot be read fails the test")]
-
     use nalgebra::Vector6;
 
     use super::*;

@@ -256,9 +256,9 @@ mod slow {
         }
         for k in 0..3 {
             for r in (0..3).filter(|&r| r != k) {
-                let factor = m[r][k] / m[k][k];
-                for c in 0..5 {
-                    m[r][c] -= factor * m[k][c];
+                let (pivot, factor) = (m[k], m[r][k] / m[k][k]);
+                for (value, of_pivot) in m[r].iter_mut().zip(pivot) {
+                    *value -= factor * of_pivot;
                 }
             }
         }
@@ -278,7 +278,7 @@ fn the_slow_definition_finds_the_same_layers() {
             .correspondences
             .iter()
             .zip(&field.cells)
-            .filter(|(_, cell)| **cell as usize % COLUMNS % 6 == 0)
+            .filter(|(_, cell)| (**cell as usize % COLUMNS).is_multiple_of(6))
             .map(|(c, _)| *c)
             .collect();
         for c in &mut points {
@@ -325,7 +325,7 @@ fn a_clip_pools_its_adjacent_edges() {
     assert!(residual < 0.3 * geometry.residual_px.max(1.0));
     assert_eq!(layers_of(&geometry), found, "seeded");
     // Edges across two frames are another distance: left out.
-    let mut wide = geometry.clone();
+    let mut wide = geometry;
     for edge in &mut wide.edges {
         edge.to_frame += 1;
     }

@@ -1,7 +1,5 @@
 //! The tracker on exact correspondences of a scene made up here, and at its extremes.
 
-#![expect(clippy::unwrap_used, reason = "what cannot be solved fails the test")]
-
 use nalgebra::{Vector3, Vector6};
 
 use super::*;
@@ -227,7 +225,7 @@ fn what_cannot_be_tracked_has_a_type() {
     ));
     let bad = TrackParams {
         huber_px: 0.0,
-        ..params.clone()
+        ..params
     };
     let two = graph(2, 2, 1.0);
     assert!(matches!(
