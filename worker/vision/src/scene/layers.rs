@@ -7,7 +7,7 @@
 //!   of that model ([`super::GricParams`]): √8 σ = 1.41 px before a still or turning camera, √2 σ = 0.71 px
 //!   off the epipolar line before one that travels;
 //! - layers: `U = M`; at most [`LayerParams::max_layers`] times, while U has
-//!   [`LayerParams::min_layer_cells`] cells, fit an affine motion `Aₖ` to U ([`super::affine`]), take the
+//!   [`LayerParams::min_layer_cells`] cells, fit an affine motion `Aₖ` to U (the module `affine`), take the
 //!   cells of U within √8 σ of it as its own, and go on with the others; a layer of fewer cells than
 //!   `min_layer_cells` is none and ends the search;
 //! - residual of a moving cell: `rᵢ = min(cᵢ, minₖ |Aₖ xᵢ − yᵢ|)`: the camera and every layer may explain

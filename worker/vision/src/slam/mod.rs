@@ -4,7 +4,7 @@
 //! A factor graph joins pairs of frames; each edge says where the grid cells of its source are in its
 //! target and how far that is to be trusted. [`bundle`] moves camera poses and one inverse depth per
 //! cell until the reprojections agree with these targets. [`tracker`] is the default, on targets from
-//! optical flow ([`flow_operator`]); [`reference`] is WorldScore's. Poses are `camera_from_world`
+//! optical flow ([`flow_operator`]); [`mod@reference`] is WorldScore's. Poses are `camera_from_world`
 //! ([`se3`]); grids are `[rows, columns]` row-major, cell centres at integers, lengths in cells
 //! unless a name says otherwise.
 

@@ -2,7 +2,7 @@
 //!
 //! - [`FrontEnd`] takes frames as they come, keeps those as keyframes that the picture has moved enough
 //!   for, and joins each to the keyframes before it: a [`FlowGraph`]. A stored graph does as well.
-//! - [`solve`] grows a map keyframe by keyframe (local adjustment of the last few), then refines it as a
+//! - [`solve()`] grows a map keyframe by keyframe (local adjustment of the last few), then refines it as a
 //!   whole, robustly; a round that lowers the cost by less than the tolerance is the last.
 //! - [`Solution::observability`] is the parallax gate: how much of the depth the flows determine.
 //!
