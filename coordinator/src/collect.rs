@@ -13,6 +13,7 @@ use plumbline_common::frame::{self, FrameError, HEADER_BYTES};
 use plumbline_common::id::VideoId;
 use plumbline_common::message::{self, Location, MessageError, Outcome};
 use plumbline_common::row::Status;
+use plumbline_vision::slam::intrinsics::Intrinsics;
 use serde::{Deserialize, Serialize};
 
 use crate::corpus::Entry;
@@ -31,6 +32,9 @@ pub struct Record {
     pub modified_ns: Option<i128>,
     /// The profile that measured it.
     pub profile_digest: String,
+    /// Its camera, where the list told.
+    #[serde(default)]
+    pub intrinsics: Option<Intrinsics>,
     /// How often it was tried.
     pub attempts: u32,
     /// What came of it.
@@ -45,6 +49,7 @@ impl Record {
             && self.bytes == entry.bytes
             && self.modified_ns == entry.modified_ns
             && self.profile_digest == profile_digest
+            && self.intrinsics == entry.intrinsics()
             && self.outcome.measurement.status != Status::Failed
     }
 }
@@ -264,6 +269,7 @@ mod tests {
             bytes: entry.bytes,
             modified_ns: entry.modified_ns,
             profile_digest: "p".into(),
+            intrinsics: None,
             attempts: 1,
             outcome: Outcome {
                 video: entry.video,
@@ -307,11 +313,17 @@ mod tests {
         assert!(journal.contains(&entry("a").video) && !journal.contains(&entry("b").video));
         let mut touched = entry("a");
         touched.modified_ns = Some(6);
-        assert!(
-            Journal::open(&path, true, &[touched], "p")
-                .unwrap()
-                .is_empty()
-        );
+        let mut with_camera = entry("a");
+        for column in ["fx", "fy", "cx", "cy"] {
+            with_camera.carried.insert(column.to_owned(), 9.into());
+        }
+        for changed in [touched, with_camera] {
+            assert!(
+                Journal::open(&path, true, &[changed], "p")
+                    .unwrap()
+                    .is_empty()
+            );
+        }
     }
 
     #[test]

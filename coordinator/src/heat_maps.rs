@@ -12,6 +12,7 @@ use plumbline_vision::faults::FaultKind;
 use plumbline_vision::image::Rgb8;
 use plumbline_worker::child::Drawing;
 use plumbline_worker::explain::{DrawJob, Marked, Subject};
+use plumbline_worker::profile::Profile;
 
 use crate::corpus::Entry;
 use crate::explain::HEAT_MAP_DIRECTORY;
@@ -34,7 +35,7 @@ pub(crate) async fn draw(
     most: usize,
     rows: &[Row],
     entries: &[Entry],
-    profile: &[u8],
+    profile: &Profile,
     slots: &Slots,
     out: &OutDir,
 ) -> Result<HeatMaps, RunError> {
@@ -50,7 +51,8 @@ pub(crate) async fn draw(
         let there = out.root().join(&file).is_file();
         if !there {
             let entry = by_video.get(&row.video);
-            let Some(job) = entry.and_then(|entry| job(entry, profile)) else {
+            let job = entry.map(|entry| job(entry, profile)).transpose()?;
+            let Some(job) = job.flatten() else {
                 continue;
             };
             jobs.push(DrawJob {

@@ -259,9 +259,9 @@ pub(crate) async fn finish(
         Ok((entries, journal, costs, reduced))
     });
     let (entries, journal, costs, reduced) = reducing.await.map_err(RunError::Finishing)??;
-    let profile = options.profile.canonical().map_err(RunError::Profile)?;
+    let profile = &options.profile;
     let (most, slots) = (options.heat_maps, &options.slots);
-    let heat_maps = heat_maps::draw(most, &reduced.rows, &entries, &profile, slots, &out).await?;
+    let heat_maps = heat_maps::draw(most, &reduced.rows, &entries, profile, slots, &out).await?;
     let options = options.clone();
     let publishing = tokio::task::spawn_blocking(move || -> Result<_, RunError> {
         let measured = Measurements {
@@ -283,12 +283,11 @@ async fn measure_missing(
     journal: &mut Journal,
     stop: &mut StopSignals,
 ) -> Result<f64, RunError> {
-    let profile = options.profile.canonical().map_err(RunError::Profile)?;
     let jobs: Vec<Job> = entries
         .iter()
         .filter(|entry| !journal.contains(&entry.video))
-        .filter_map(|entry| job(entry, &profile))
-        .collect();
+        .filter_map(|entry| job(entry, &options.profile).transpose())
+        .collect::<Result<_, _>>()?;
     let by_video: std::collections::HashMap<&VideoId, &Entry> =
         entries.iter().map(|entry| (&entry.video, entry)).collect();
     let total = journal.len() + jobs.len();
@@ -331,20 +330,29 @@ pub(crate) fn record(entry: &Entry, measured: Measured, options: &ScoreOptions) 
         bytes: entry.bytes,
         modified_ns: entry.modified_ns,
         profile_digest: options.reduce.profile_digest.clone(),
+        intrinsics: entry.intrinsics(),
         attempts: measured.attempts,
         outcome: measured.outcome,
     }
 }
 
-/// The job of an entry; none where the file could not even be looked at.
-pub(crate) fn job(entry: &Entry, profile: &[u8]) -> Option<Job> {
-    Some(Job {
+/// The job of an entry, with its own camera where the list tells it; none where the file could not even
+/// be looked at.
+pub(crate) fn job(entry: &Entry, profile: &Profile) -> Result<Option<Job>, RunError> {
+    let (Some(bytes), Some(modified_ns)) = (entry.bytes, entry.modified_ns) else {
+        return Ok(None);
+    };
+    let profile = Profile {
+        intrinsics: entry.intrinsics().or(profile.intrinsics),
+        ..profile.clone()
+    };
+    Ok(Some(Job {
         video: entry.video.clone(),
         location: entry.location.clone(),
-        bytes: entry.bytes?,
-        modified_ns: entry.modified_ns?,
-        profile: profile.to_vec(),
-    })
+        bytes,
+        modified_ns,
+        profile: profile.canonical().map_err(RunError::Profile)?,
+    }))
 }
 
 /// Every entry with its measurement, in the corpus' order, so that nothing is lost; and what each

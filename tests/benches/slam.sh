@@ -63,7 +63,7 @@ result=tests/benches/results/slam-$(date +%F).md
     for profile in draft standard accurate; do
         for camera in given prior; do
             json=$work/$profile-$camera/slam.json
-            all=$(python3 -c 'import json,sys; print(f"{sum(json.load(open(sys.argv[1]))["seconds"].values()):.2f}")' "$json")
+            all=$(python3 -c 'import json,sys; print("%.2f" % sum(json.load(open(sys.argv[1]))["seconds"].values()))' "$json")
             echo "| $profile | $(field "$json" intrinsics) | $(field "$json" intrinsics_px.fx) | $(field "$json" against_truth.ate_rmse) | $(evo_ate "$kitchen/groundtruth.txt" "$work/$profile-$camera/trajectory.txt") | $(field "$json" against_truth.rotation_rmse_deg) | $(field "$json" keyframes) | $(field "$json" residual_px) | $(field "$json" seconds.flow) | $(field "$json" seconds.adjustment) | $all |"
         done
     done

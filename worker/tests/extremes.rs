@@ -133,3 +133,16 @@ fn a_line_of_pixels_is_refused_with_its_remedy() {
         "{reason}"
     );
 }
+
+/// The largest frames that the limits let through, in motion: by 34 px per frame, 4 px at the working size.
+#[test]
+fn frames_of_4096_by_2160_are_scored() {
+    let scene: Scene = |x, y, t| noise((x + 34 * t) / 96, y / 96, 0);
+    let row = row((4096, 2160), scene, Rung::Standard);
+    assert_eq!(row.status, Status::Scored, "{:?}", row.status_reason);
+    assert_finite(&row, "4096x2160");
+    // The whole picture slides: one homography explains it.
+    let moved_px = row.motion_px.unwrap();
+    assert!((moved_px - 34.0 * 256.0 / 2160.0).abs() < 0.4, "{moved_px}");
+    assert!(row.reproj_px.unwrap() < 0.5, "{:?}", row.reproj_px);
+}

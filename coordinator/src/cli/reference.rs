@@ -40,7 +40,7 @@ enum What {
 #[derive(Debug, Args)]
 struct FitArgs {
     /// Rows to freeze: a run's OUT, scores.parquet or .jsonl, or directories of parts
-    #[arg(required_unless_present = "faults", conflicts_with_all = ["faults", "MeasuringArgs"], value_name = "SCORES")]
+    #[arg(required_unless_present = "faults", conflicts_with_all = ["faults", "MeasuringArgs", "ComputingArgs"], value_name = "SCORES")]
     scores: Vec<PathBuf>,
     /// Clean clips of the camera and codec to be judged: videos, directories, globs or lists
     #[arg(long, num_args = 1.., value_name = "CLEAN")]

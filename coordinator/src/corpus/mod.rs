@@ -4,6 +4,7 @@
 //! wrong with one becomes its row, not an error of the run. What makes the *list* wrong (no such
 //! source, an unreadable directory, a duplicate name, an unknown column) is an error before any work.
 
+mod camera;
 mod group;
 mod list;
 mod source;
@@ -13,6 +14,7 @@ use std::path::PathBuf;
 
 use plumbline_common::id::VideoId;
 use plumbline_common::message::Location;
+use plumbline_vision::slam::intrinsics::Intrinsics;
 use serde::{Deserialize, Serialize};
 
 pub use group::GroupBy;
@@ -40,6 +42,12 @@ pub struct Entry {
 }
 
 impl Entry {
+    /// Its camera, where the list tells; what it tells wrongly is no corpus.
+    #[must_use]
+    pub fn intrinsics(&self) -> Option<Intrinsics> {
+        camera::intrinsics(&self.carried).ok().flatten()
+    }
+
     /// The path of its bytes.
     #[must_use]
     pub fn path(&self) -> PathBuf {

@@ -13,7 +13,7 @@ use plumbline_worker::decode::{image_files, is_image_sequence};
 use serde_json::{Map, Value};
 use walkdir::{DirEntry, WalkDir};
 
-use super::{CorpusError, Entry, GroupBy, Ignored, list};
+use super::{CorpusError, Entry, GroupBy, Ignored, camera, list};
 
 /// File names that are taken for videos while walking; what a file really is, its bytes say later.
 const VIDEO_EXTENSIONS: [&str; 7] = ["mp4", "m4v", "mov", "webm", "mkv", "avi", "gif"];
@@ -268,6 +268,10 @@ fn add_list(path: &Path, named: &mut BTreeMap<VideoId, Entry>) -> Result<(), Cor
                 reason: format!("{name} stands in the list twice: name each video once"),
             });
         }
+        camera::intrinsics(&line.carried).map_err(|reason| CorpusError::List {
+            path: path.display().to_string(),
+            reason: format!("{name}: {reason}"),
+        })?;
         add(
             named,
             name,

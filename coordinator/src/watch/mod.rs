@@ -67,7 +67,6 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
         measured_before: known.map(|e| (e.video.clone(), e.clone())).collect(),
         journal,
         arrivals: Arrivals::default(),
-        profile: options.profile.canonical().map_err(RunError::Profile)?,
         jobs: VecDeque::new(),
         in_work: 0,
         measured_now: 0,
@@ -128,7 +127,6 @@ struct Watching<'a> {
     measured_before: BTreeMap<VideoId, Entry>,
     journal: Journal,
     arrivals: Arrivals,
-    profile: Vec<u8>,
     /// Whole, and waiting for a slot.
     jobs: VecDeque<Job>,
     /// Jobs without an answer.
@@ -218,7 +216,7 @@ impl Watching<'_> {
                 true => self.journal.read(&entry.video)?,
                 false => None,
             };
-            match (record, job(&entry, &self.profile)) {
+            match (record, job(&entry, &self.options.profile)?) {
                 (Some(record), _) => self.hand_on(&entry, record.outcome.measurement)?,
                 (None, Some(job)) => {
                     self.jobs.push_back(job);

@@ -186,6 +186,24 @@ fn a_jsonl_list_keeps_the_types_of_its_columns() {
 }
 
 #[test]
+fn a_list_gives_each_video_its_camera() {
+    let place = tasks();
+    let list = |focal: &str| {
+        let text = format!(
+            "video,fx,fy,cx,cy\nvideos/push/c.mp4,{focal},{focal},64,48\nvideos/pick/a__0.mp4,,,,\n"
+        );
+        std::fs::write(place.path("list.csv"), text).unwrap();
+        score(&place, &["list.csv"]).expect_code(0)
+    };
+    list("90").expect_line(&["2 measured now"]);
+    let row = place.published("out").row("videos/push/c.mp4");
+    assert_eq!((&row["fx"], &row["cy"]), (&"90".into(), &"48".into()));
+    list("90").expect_line(&["0 measured now"]);
+    // Another camera is another measurement, of this video alone.
+    list("120").expect_line(&["1 measured now"]);
+}
+
+#[test]
 fn a_wrong_list_is_told_by_line_and_remedy() {
     let place = tasks();
     for (name, content, words) in [
@@ -205,6 +223,11 @@ fn a_wrong_list_is_told_by_line_and_remedy() {
             ["c.txt", "name each video once"],
         ),
         ("d.csv", "video,task\nvideos/push/c.mp4\n", ["d.csv", "2"]),
+        (
+            "g.csv",
+            "video,fx,fy,cx,cy\nvideos/push/c.mp4,585,wide,320,240\n",
+            ["g.csv", "videos/push/c.mp4: the columns fx, fy, cx and cy"],
+        ),
         ("e.parquet", "no parquet", ["e.parquet", "arquet"]),
         ("f.txt", "\n\n", ["f.txt", "no video found"]),
     ] {
