@@ -51,8 +51,8 @@ pub(crate) async fn draw(
         let there = out.root().join(&file).is_file();
         if !there {
             let entry = by_video.get(&row.video);
-            let job = entry.map(|entry| job(entry, profile)).transpose()?;
-            let Some(job) = job.flatten() else {
+            let job = entry.map(|entry| job(entry, profile)).transpose();
+            let Some(job) = job.map_err(RunError::Profile)?.flatten() else {
                 continue;
             };
             jobs.push(DrawJob {

@@ -287,7 +287,8 @@ async fn measure_missing(
         .iter()
         .filter(|entry| !journal.contains(&entry.video))
         .filter_map(|entry| job(entry, &options.profile).transpose())
-        .collect::<Result<_, _>>()?;
+        .collect::<Result<_, _>>()
+        .map_err(RunError::Profile)?;
     let by_video: std::collections::HashMap<&VideoId, &Entry> =
         entries.iter().map(|entry| (&entry.video, entry)).collect();
     let total = journal.len() + jobs.len();
@@ -338,7 +339,7 @@ pub(crate) fn record(entry: &Entry, measured: Measured, options: &ScoreOptions) 
 
 /// The job of an entry, with its own camera where the list tells it; none where the file could not even
 /// be looked at.
-pub(crate) fn job(entry: &Entry, profile: &Profile) -> Result<Option<Job>, RunError> {
+pub(crate) fn job(entry: &Entry, profile: &Profile) -> Result<Option<Job>, serde_json::Error> {
     let (Some(bytes), Some(modified_ns)) = (entry.bytes, entry.modified_ns) else {
         return Ok(None);
     };
@@ -351,7 +352,7 @@ pub(crate) fn job(entry: &Entry, profile: &Profile) -> Result<Option<Job>, RunEr
         location: entry.location.clone(),
         bytes,
         modified_ns,
-        profile: profile.canonical().map_err(RunError::Profile)?,
+        profile: profile.canonical()?,
     }))
 }
 

@@ -79,9 +79,9 @@ pub async fn slam(options: &SlamOptions) -> Result<SlamResult, RunError> {
 
 async fn slam_into(options: &SlamOptions, claimed: &Claimed) -> Result<SlamResult, RunError> {
     let Claimed { entry, out, .. } = claimed;
-    let profile = options.profile.canonical().map_err(RunError::Profile)?;
     let mut slot = ComputeSlot::new(options.slots.program.clone(), options.slots.limits);
-    let outcome = match crate::run::job(entry, &profile) {
+    let job = crate::run::job(entry, &options.profile).map_err(RunError::Profile)?;
+    let outcome = match job {
         Some(job) => slot.track(&job).await?,
         None => {
             let row = unreadable(entry);

@@ -166,19 +166,23 @@ impl<'a> Asking<'a> {
         entries: &[Entry],
         questions: HashMap<VideoId, String>,
     ) -> Result<Self, JudgeError> {
-        let profile = options.profile.canonical().map_err(JudgeError::Profile)?;
-        let jobs = entries.iter().filter_map(|entry| {
-            Some(FramesJob {
-                job: job(entry, &profile)?,
-                frames: options.frames,
-                max_side_px: options.max_side_px,
+        let jobs = entries
+            .iter()
+            .filter_map(|entry| job(entry, &options.profile).transpose())
+            .map(|job| {
+                Ok(FramesJob {
+                    job: job?,
+                    frames: options.frames,
+                    max_side_px: options.max_side_px,
+                })
             })
-        });
+            .collect::<Result<_, _>>()
+            .map_err(JudgeError::Profile)?;
         Ok(Self {
             options,
             chat: Arc::new(Chat::new(options.chat.clone())),
             cache: Arc::new(Cache::open(&options.cache)?),
-            fanout: Fanout::start(jobs.collect(), &options.slots),
+            fanout: Fanout::start(jobs, &options.slots),
             questions,
             found: BTreeMap::new(),
             cached: 0,

@@ -96,14 +96,10 @@ pub enum FitError {
 pub async fn fit(options: &FitOptions) -> Result<Fitted, FitError> {
     let (directory, name) = directory_and_name(&options.out)?;
     let entries = corpus::freeze(&options.sources, None, &options.out)?.entries;
-    let profile = options
-        .profile
-        .canonical()
-        .map_err(ThresholdsError::Profile)?;
     let mut unused: Vec<(VideoId, String)> = Vec::new();
     let mut jobs = Vec::new();
     for entry in &entries {
-        match job(entry, &profile) {
+        match job(entry, &options.profile).map_err(ThresholdsError::Profile)? {
             Some(job) => jobs.push(Detail(job)),
             None => unused.push((
                 entry.video.clone(),

@@ -216,7 +216,8 @@ impl Watching<'_> {
                 true => self.journal.read(&entry.video)?,
                 false => None,
             };
-            match (record, job(&entry, &self.options.profile)?) {
+            let job = job(&entry, &self.options.profile).map_err(RunError::Profile)?;
+            match (record, job) {
                 (Some(record), _) => self.hand_on(&entry, record.outcome.measurement)?,
                 (None, Some(job)) => {
                     self.jobs.push_back(job);
