@@ -25,10 +25,9 @@ if [ -z "$evo" ]; then
     "$work/venv/bin/pip" install -q evo
     evo=$work/venv/bin
 fi
-export HOME=$work MPLBACKEND=Agg
 
 # RMSE after scale alignment, by evo.
-evo_ate() { "$evo/evo_ape" tum "$1" "$2" -as 2>/dev/null | sed -n 's/^ *rmse[[:space:]]*//p'; }
+evo_ate() { HOME=$work MPLBACKEND=Agg "$evo/evo_ape" tum "$1" "$2" -as 2>/dev/null | sed -n 's/^ *rmse[[:space:]]*//p'; }
 field() { python3 -c 'import json,sys; v=json.load(open(sys.argv[1]))
 for k in sys.argv[2].split("."): v=v[k] if v is not None else None
 print("-" if v is None else f"{v:.4g}" if isinstance(v, float) else v)' "$1" "$2"; }
