@@ -98,7 +98,7 @@ for scene, members in sorted(groups.items()):
 PYTHON
     echo
     echo "The sample's travelling cameras look at nearly planar scenes, which homographies explain from frame to"
-    echo "frame. \`slam\`, which asks whether a *rotation* explains them, estimates depth:"
+    echo "frame. \`slam\` asks whether a *rotation* explains them nearly as well, and else estimates depth:"
     echo
     echo "| clip | depth | observable | residual px | flow s | adjustment s |"
     echo "|---|---|---|---|---|---|"
