@@ -20,9 +20,9 @@ use crate::queue::{JobKind, Message, Queue};
 /// AMQP's reply code for an orderly end.
 pub(super) const REPLY_SUCCESS: u16 = 200;
 
-/// How long a new queue is left alone. RabbitMQ (3.10.8) confirms its declaration at once, but writes its
-/// name to the disk half a second later; killed in between, it comes back with an empty queue that elects
-/// no leader, and every confirmed message in it is lost.
+/// How long a new queue is left alone. RabbitMQ (3.10.8), killed within about a second of a declaration that
+/// it has confirmed, may come back with that queue empty and without a leader. Probably its name was not on
+/// the disk yet; after this time it was never seen.
 const NEW_QUEUE_SETTLES: Duration = Duration::from_millis(1500);
 
 #[derive(Debug)]
