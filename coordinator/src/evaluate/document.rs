@@ -32,7 +32,17 @@ pub(super) fn summary(evaluation: &Evaluation) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(success) = &evaluation.success {
         for rate in &success.sets {
-            lines.push(format!("{}: {}%", rate.set.name(), rate_text(&rate.rate)));
+            let SuccessRate {
+                percent,
+                standard_error,
+                n,
+                ..
+            } = rate.rate;
+            lines.push(format!(
+                "{}: {}% of {n} videos",
+                rate.set.name(),
+                plus_minus(percent, standard_error)
+            ));
         }
         if let Some(area) = &success.auroc_failure {
             lines.push(format!("AUROC for failure: {}", auroc(area)));

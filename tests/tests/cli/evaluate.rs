@@ -85,7 +85,7 @@ fn table_1_of_the_paper() {
     ];
     let found = evaluate(&place, &words)
         .expect_code(0)
-        .expect_line(&["low: 79.0 ± 5.5 (50)%"])
+        .expect_line(&["low: 79.0 ± 5.5% of 50 videos"])
         .json();
     rounds_to(&of_set(&found, "low")["percent"], 1, 79.0);
     rounds_to(&of_set(&found, "low")["standard_error"], 1, 5.5);
