@@ -7,14 +7,12 @@
     reason = "what cannot be built or measured fails the test"
 )]
 
-use std::os::unix::ffi::OsStrExt;
+mod row;
+
 use std::path::Path;
 
-use plumbline_common::id::VideoId;
-use plumbline_common::message::{Job, Location};
 use plumbline_common::row::{Measurement, Status};
-use plumbline_worker::measure::measure;
-use plumbline_worker::profile::{Profile, Rung};
+use plumbline_worker::profile::Rung;
 
 /// Enough for every statistic: past the conditioning frame and the paper's warm-up.
 const FRAMES: usize = 10;
@@ -39,14 +37,7 @@ fn write_frames(directory: &Path, (width, height): (u32, u32), scene: Scene) {
 fn row(size: (u32, u32), scene: Scene, rung: Rung) -> Measurement {
     let directory = tempfile::tempdir().unwrap();
     write_frames(directory.path(), size, scene);
-    let job = Job {
-        video: VideoId::new("clip").unwrap(),
-        location: Location::ImageSequence(directory.path().as_os_str().as_bytes().to_vec()),
-        bytes: 1,
-        modified_ns: 0,
-        profile: Profile::new(rung).canonical().unwrap(),
-    };
-    measure(&job).unwrap().measurement
+    row::of_pictures(directory.path(), rung)
 }
 
 /// JSON writes NaN as null, so the row is looked at as Rust prints it.

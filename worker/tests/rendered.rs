@@ -6,15 +6,12 @@
     reason = "what cannot be rendered or measured fails the test"
 )]
 
-use std::os::unix::ffi::OsStrExt;
+mod row;
 
-use plumbline_common::id::VideoId;
-use plumbline_common::message::{Job, Location};
 use plumbline_common::row::{Measurement, Status};
 use plumbline_sample::corpus::FaultSpec;
 use plumbline_sample::{ClipSpec, Family, FaultKind, RgbFrame};
-use plumbline_worker::measure::measure;
-use plumbline_worker::profile::{Profile, Rung};
+use plumbline_worker::profile::Rung;
 
 fn frames(clip: &ClipSpec) -> Vec<RgbFrame> {
     clip.render_frames().map(Result::unwrap).collect()
@@ -29,14 +26,7 @@ fn row(frames: &[RgbFrame], rung: Rung) -> Measurement {
             .save(directory.path().join(format!("{number:02}.png")))
             .unwrap();
     }
-    let job = Job {
-        video: VideoId::new("clip").unwrap(),
-        location: Location::ImageSequence(directory.path().as_os_str().as_bytes().to_vec()),
-        bytes: 1,
-        modified_ns: 0,
-        profile: Profile::new(rung).canonical().unwrap(),
-    };
-    measure(&job).unwrap().measurement
+    row::of_pictures(directory.path(), rung)
 }
 
 /// A byte of noise, by place.
