@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::id::VideoId;
+use crate::id::{RunId, VideoId};
 use crate::row::{Cost, Measurement};
 
 /// The version this build writes and reads.
@@ -24,6 +24,30 @@ pub enum Location {
     File(#[serde(with = "serde_bytes")] Vec<u8>),
     /// A directory of numbered images; the platform's path bytes.
     ImageSequence(#[serde(with = "serde_bytes")] Vec<u8>),
+    /// One object of an object store.
+    Object(ObjectLocation),
+}
+
+/// An object of an S3-compatible store, in the version that was listed. Which service is meant is the
+/// reader's configuration: coordinator and workers may reach it by different addresses.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ObjectLocation {
+    /// The bucket.
+    pub bucket: String,
+    /// The object's whole key in it.
+    pub key: String,
+    /// The store's mark of this version; not every service lists it.
+    #[serde(default)]
+    pub etag: Option<String>,
+    /// When it was last written, seconds since the epoch.
+    #[serde(default)]
+    pub modified_s: Option<i64>,
+}
+
+impl std::fmt::Display for ObjectLocation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "s3://{}/{}", self.bucket, self.key)
+    }
 }
 
 /// One video to measure.
@@ -40,6 +64,49 @@ pub struct Job {
     /// The profile's canonical form.
     #[serde(with = "serde_bytes")]
     pub profile: Vec<u8>,
+}
+
+/// One job of a run on a fleet.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FleetJob {
+    /// The run, whose results queue gets what comes of it.
+    pub run: RunId,
+    /// What to measure.
+    pub job: Job,
+}
+
+impl FleetJob {
+    /// The name of this work, the same whenever and by whomever it is published: the run and a digest of
+    /// the video's name.
+    #[must_use]
+    pub fn message_id(&self) -> String {
+        work_id(&self.run, &self.job.video)
+    }
+}
+
+/// What came of a [`FleetJob`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FleetResult {
+    /// The job's run.
+    pub run: RunId,
+    /// What came of it; always a row.
+    pub outcome: Outcome,
+    /// How often it was tried in all: settled retries, and compute processes that died.
+    pub attempts: u32,
+    /// The worker's name.
+    pub worker: String,
+}
+
+impl FleetResult {
+    /// The same as its job's.
+    #[must_use]
+    pub fn message_id(&self) -> String {
+        work_id(&self.run, &self.outcome.video)
+    }
+}
+
+fn work_id(run: &RunId, video: &VideoId) -> String {
+    format!("{run}/{}", blake3::hash(video.as_str().as_bytes()).to_hex())
 }
 
 /// Two small JPEG pictures of the frame at which a video is worst.

@@ -399,7 +399,7 @@ pub(crate) fn unreadable(entry: &Entry) -> Measurement {
         Status::Failed,
         format!(
             "{}: cannot be read ({problem}); mend it and run again",
-            entry.path().display()
+            entry.address()
         ),
     )
 }
@@ -436,10 +436,7 @@ fn publish_run(
         fault_calibration: options.fault_calibration.clone(),
         statistics: reduced.statistics.clone(),
     };
-    let locations: Vec<String> = entries
-        .iter()
-        .map(|entry| entry.path().to_string_lossy().into_owned())
-        .collect();
+    let locations: Vec<String> = entries.iter().map(Entry::address).collect();
     let thumbnails = |video: &VideoId| journal.read(video).ok()??.outcome.thumbnails;
     let report = report::render(&ReportInput {
         title: &options.sources.join(", "),

@@ -17,6 +17,8 @@ pub struct Message {
     pub body: Bytes,
     /// From 1; one more after every retry.
     pub attempt: u32,
+    /// The trace it belongs to, in the form of the W3C's `traceparent` header; the same on every copy.
+    pub traceparent: Option<String>,
 }
 
 impl Message {
@@ -27,6 +29,7 @@ impl Message {
             id: id.into(),
             body: body.into(),
             attempt: 1,
+            traceparent: None,
         }
     }
 

@@ -10,7 +10,6 @@ mod list;
 mod source;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 use plumbline_common::id::VideoId;
 use plumbline_common::message::Location;
@@ -48,12 +47,15 @@ impl Entry {
         camera::intrinsics(&self.carried).ok().flatten()
     }
 
-    /// The path of its bytes.
+    /// Where its bytes are, for people: a path or the address of an object.
     #[must_use]
-    pub fn path(&self) -> PathBuf {
-        use std::os::unix::ffi::OsStringExt;
-        let (Location::File(bytes) | Location::ImageSequence(bytes)) = &self.location;
-        PathBuf::from(std::ffi::OsString::from_vec(bytes.clone()))
+    pub fn address(&self) -> String {
+        match &self.location {
+            Location::File(path) | Location::ImageSequence(path) => {
+                String::from_utf8_lossy(path).into_owned()
+            }
+            Location::Object(object) => object.to_string(),
+        }
     }
 }
 

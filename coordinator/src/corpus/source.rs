@@ -102,11 +102,16 @@ pub(crate) fn empty(sources: &[String]) -> CorpusError {
     }
 }
 
-/// The entry as it is now.
+/// The entry as it is now; an object stays as it was listed, since reading it asks for that version.
 pub(crate) fn looked_at_again(entry: &Entry) -> Entry {
+    let (path, is_sequence) = match &entry.location {
+        Location::File(path) => (path, false),
+        Location::ImageSequence(path) => (path, true),
+        Location::Object(_) => return entry.clone(),
+    };
     let found = Found {
-        path: entry.path(),
-        is_sequence: matches!(entry.location, Location::ImageSequence(_)),
+        path: OsStr::from_bytes(path).into(),
+        is_sequence,
     };
     Entry {
         group: entry.group.clone(),
@@ -302,8 +307,8 @@ fn add(
         }
         return Err(CorpusError::Duplicate {
             video: video.to_string(),
-            first: earlier.path().display().to_string(),
-            second: entry.path().display().to_string(),
+            first: earlier.address(),
+            second: entry.address(),
         });
     }
     named.insert(video, entry);

@@ -74,7 +74,7 @@ impl Paths {
                     list.advance();
                 }
                 if let Some(entry) = list.next.as_ref().filter(|e| e.video.as_str() == video) {
-                    path = Some(entry.path().to_string_lossy().into_owned());
+                    path = Some(entry.address());
                 }
             }
             found.append_option(path);

@@ -180,7 +180,7 @@ impl ReadError {
     pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
-            Self::Changed { .. } => Status::Failed,
+            Self::Changed { .. } | Self::NotFetched { .. } => Status::Failed,
         };
         let mut row = Measurement::without_score(status, self.to_string());
         row.bytes = Some(job.bytes);

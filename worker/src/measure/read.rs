@@ -37,6 +37,8 @@ pub(crate) enum ReadError {
         "{path}: changed after the list of videos was made; run again to score what is there now"
     )]
     Changed { path: String },
+    #[error("{object}: was not fetched before it was to be measured; report this defect")]
+    NotFetched { object: String },
 }
 
 impl Input {
@@ -59,6 +61,9 @@ impl Input {
                     content: Content::Images(path),
                 })
             }
+            Location::Object(object) => Err(ReadError::NotFetched {
+                object: object.to_string(),
+            }),
         }
     }
 

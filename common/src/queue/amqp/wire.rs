@@ -10,6 +10,8 @@ use crate::queue::{DeadLetter, Message};
 
 const ID: &str = "plumbline-id";
 const ATTEMPT: &str = "plumbline-attempt";
+/// The W3C's name, by which other programs' traces find it too.
+const TRACEPARENT: &str = "traceparent";
 const REASON: &str = "plumbline-reason";
 
 /// The broker's count of deliveries before this one.
@@ -31,6 +33,9 @@ pub(super) fn properties(message: &Message, reason: Option<&str>) -> BasicProper
         ATTEMPT.into(),
         AMQPValue::LongLongInt(message.attempt.into()),
     );
+    if let Some(trace) = &message.traceparent {
+        headers.insert(TRACEPARENT.into(), text(trace));
+    }
     if let Some(reason) = reason {
         let end = reason.floor_char_boundary(MAX_REASON_BYTES);
         headers.insert(REASON.into(), text(&reason[..end]));
@@ -48,6 +53,7 @@ pub(super) fn received(delivery: &mut Delivery, names: &Names) -> (Message, u32,
         id: text_of(&headers, ID).unwrap_or_default(),
         body: std::mem::take(&mut delivery.data).into(),
         attempt: count_of(&headers, ATTEMPT).unwrap_or(1),
+        traceparent: text_of(&headers, TRACEPARENT),
     };
     let dead = DeadLetter {
         queue: names.parse(delivery.routing_key.as_str()),
