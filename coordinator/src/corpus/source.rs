@@ -13,7 +13,9 @@ use plumbline_worker::decode::{image_files, is_image_sequence};
 use serde_json::{Map, Value};
 use walkdir::{DirEntry, WalkDir};
 
-use super::objects::{self, Address, Buckets, Looked, ObjectLine, ObjectLocationAndSize, OpenStores};
+use super::objects::{
+    self, Address, Buckets, Looked, ObjectLine, ObjectLocationAndSize, OpenStores,
+};
 use super::{CorpusError, Entry, GroupBy, Ignored, camera, list};
 
 /// File names that are taken for videos while walking; what a file really is, its bytes say later.
