@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use plumbline_vision::slam::intrinsics::Intrinsics;
+use plumbline_worker::fetch::Fetcher;
 use plumbline_worker::profile::{Profile, Rung};
+use plumbline_worker::settings::Settings;
 
 use super::Failure;
 use crate::fanout::Slots;
-use crate::settings::Settings;
 use crate::thresholds::{self, FaultCalibration};
 
 /// What was typed about statistics, beside how videos are computed.
@@ -134,6 +135,7 @@ impl ComputingArgs {
                 program: std::env::current_exe().map_err(Failure::stopped)?,
                 count: jobs.map_or(cores, usize::from),
                 limits: settings.compute,
+                fetcher: Fetcher::new(settings.store.s3_options(), std::env::temp_dir()),
             },
         })
     }
