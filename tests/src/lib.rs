@@ -15,6 +15,7 @@
 
 pub mod binary;
 pub mod clips;
+pub mod fleet;
 pub mod process;
 pub mod proxy;
 pub mod published;

@@ -218,12 +218,18 @@ mod tests {
     async fn a_closed_connection_ends_and_a_reset_one_fails() {
         let (proxy, mut client) = echo().await;
         assert_eq!(proxy.break_all(Break::Close), 1);
-        assert_eq!(timeout(LONG, client.read(&mut [0])).await.unwrap().unwrap(), 0);
+        assert_eq!(
+            timeout(LONG, client.read(&mut [0])).await.unwrap().unwrap(),
+            0
+        );
 
         let mut client = TcpStream::connect(proxy.address()).await.unwrap();
         say(&mut client).await.unwrap();
         proxy.break_all(Break::Reset);
-        let error = timeout(LONG, client.read(&mut [0])).await.unwrap().unwrap_err();
+        let error = timeout(LONG, client.read(&mut [0]))
+            .await
+            .unwrap()
+            .unwrap_err();
         assert_eq!(error.kind(), std::io::ErrorKind::ConnectionReset);
     }
 
@@ -248,6 +254,9 @@ mod tests {
             assert!(started.elapsed() >= 2 * SHORT, "{pace:?}");
         }
         proxy.set_pace(Pace::Free);
-        assert_eq!(timeout(LONG, say(&mut client)).await.unwrap().unwrap(), *b"hello");
+        assert_eq!(
+            timeout(LONG, say(&mut client)).await.unwrap().unwrap(),
+            *b"hello"
+        );
     }
 }

@@ -225,7 +225,8 @@ mod tests {
                         stream.read_buf(&mut body).await.unwrap();
                     }
                     assert!(head.contains("connection: close"));
-                    let answer = format!("HTTP/1.1 200 OK\r\ncontent-length: {}\r\n\r\n", body.len());
+                    let answer =
+                        format!("HTTP/1.1 200 OK\r\ncontent-length: {}\r\n\r\n", body.len());
                     stream.write_all(answer.as_bytes()).await.unwrap();
                     stream.write_all(&body).await.unwrap();
                 });
@@ -268,7 +269,10 @@ mod tests {
         }
         let injected: std::collections::BTreeMap<_, _> = proxy.injected().into_iter().collect();
         assert_eq!(injected["S3 500"] + injected["S3 503"], refused);
-        assert_eq!((injected["S3 slow"], injected["S3 short read"]), (slow, short));
+        assert_eq!(
+            (injected["S3 slow"], injected["S3 short read"]),
+            (slow, short)
+        );
         assert!(refused > 0 && short > 0 && slow > 0);
     }
 }

@@ -50,12 +50,14 @@ impl Server {
 
     /// Ends it as a power cut would.
     pub fn kill(self) {
-        self.run(&["kill"]).unwrap_or_else(|error| panic!("{error}"));
+        self.run(&["kill"])
+            .unwrap_or_else(|error| panic!("{error}"));
     }
 
     /// Starts it again on the same port and data, and waits until it answers.
     pub fn start(self) {
-        self.run(&["start"]).unwrap_or_else(|error| panic!("{error}"));
+        self.run(&["start"])
+            .unwrap_or_else(|error| panic!("{error}"));
     }
 }
 
