@@ -39,7 +39,7 @@ case $kind:$action in
     s3s-fs:start) program=$(cargo_install s3s-fs "$s3s_version" --features binary) ;;
     garage:start)
         program=${PLUMBLINE_TEST_GARAGE:-}
-        [ -n "$program" ] || program=$(cargo_install garage "$garage_version" --no-default-features --features lmdb)
+        [ -n "$program" ] || program=$(cargo_install garage "$garage_version" --no-default-features --features bundled-libs,lmdb)
         ;;
     s3s-fs:* | garage:*) ;;
     *) echo "unknown store $kind: s3s-fs or garage" >&2; exit 2 ;;
