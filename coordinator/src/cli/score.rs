@@ -104,6 +104,7 @@ impl ScoreArgs {
             fault_calibration,
             heat_maps: self.heatmaps,
             slots,
+            fleet: None,
         })
     }
 }
