@@ -15,7 +15,7 @@ use plumbline_tests::process::{Process, wait_until};
 use plumbline_tests::proxy::{Break, Pace};
 use plumbline_tests::run::{Place, Started};
 use plumbline_tests::s3_faults::S3Faults;
-use plumbline_tests::servers::{Server, server};
+use plumbline_tests::servers::{Server, queues, server};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use tokio::runtime::Runtime;
@@ -80,6 +80,8 @@ struct Campaign {
     marker: String,
     /// What the names of its runs begin with, since other campaigns may have used the same broker.
     name: String,
+    /// What the coordinator adds to these names, the same for all runs over the same videos.
+    digest: String,
     prefix: String,
     videos: Vec<String>,
     reference: BTreeMap<String, Vec<u8>>,
@@ -148,6 +150,7 @@ impl Campaign {
             place,
             marker,
             name,
+            digest: String::new(),
             prefix,
             videos,
             s3_faults,
@@ -172,7 +175,7 @@ impl Campaign {
 
     /// One run from its first start to its published bytes.
     fn run(&mut self, number: u64, wanted: u64) {
-        let run = RunId::new(format!("{}-{number}", self.name)).unwrap();
+        let name = format!("{}-{number}", self.name);
         // Results go to a directory and to the store by turns.
         let in_store = number.is_multiple_of(2);
         let out = match in_store {
@@ -180,7 +183,8 @@ impl Campaign {
             false => format!("out-{number}"),
         };
         let started = Instant::now();
-        let mut coordinator = self.start_coordinator(&run, &out, number);
+        let mut coordinator = self.start_coordinator(&name, &out, number);
+        let run = self.run_id(&name);
         let faults_before = self.journal.faults();
         let mut next_fault = Instant::now() + Duration::from_millis(self.below(1500));
         let code = loop {
@@ -213,7 +217,7 @@ impl Campaign {
             sleep(Duration::from_millis(10));
         };
         self.wait_for_broker();
-        let code = self.retry_dead(&run, code, &out, number);
+        let code = self.retry_dead(&run, &name, code, &out, number);
         assert_eq!(code, self.reference_code, "{}", coordinator.last_words());
         self.check_published(in_store, &out, number);
         self.check_left_behind(&run);
@@ -226,12 +230,31 @@ impl Campaign {
         );
     }
 
-    fn start_coordinator(&self, run: &RunId, out: &str, number: u64) -> Daemon {
+    /// What the coordinator calls the run: its name and a digest of what it measures, as the queue of its
+    /// results says.
+    fn run_id(&mut self, name: &str) -> RunId {
+        if self.digest.is_empty() {
+            let queue = format!("plumbline.results.{name}-");
+            wait_until("a results queue", PATIENCE, || {
+                let queues = queues().unwrap();
+                let mut digests = queues
+                    .iter()
+                    .filter_map(|state| state.name.strip_prefix(&queue));
+                digests
+                    .next()
+                    .map(|digest| self.digest = digest.to_owned())
+                    .is_some()
+            });
+        }
+        RunId::new(format!("{name}-{}", self.digest)).unwrap()
+    }
+
+    fn start_coordinator(&self, name: &str, out: &str, number: u64) -> Daemon {
         let command = score_command(
             &self.place,
             &self.prefix,
             out,
-            run.as_str(),
+            name,
             &self.coordinator_ways,
             &self.marker,
         );
@@ -402,7 +425,7 @@ impl Campaign {
 
     /// Jobs that were given up since faults hit them too often are rightly dead; they are put back and
     /// collected as a user would, and that is told.
-    fn retry_dead(&mut self, run: &RunId, code: i32, out: &str, number: u64) -> i32 {
+    fn retry_dead(&mut self, run: &RunId, name: &str, code: i32, out: &str, number: u64) -> i32 {
         let dead = self
             .runtime
             .block_on(check::given_up(self.tamperer.broker(), run));
@@ -416,7 +439,7 @@ impl Campaign {
         let url = server("PLUMBLINE_TEST_AMQP_URL");
         retry.args(["fleet", "retry", "--queue", &url, run.as_str()]);
         Started::start(&mut retry).wait().expect_code(0);
-        let mut coordinator = self.start_coordinator(run, out, number);
+        let mut coordinator = self.start_coordinator(name, out, number);
         let again = Instant::now();
         loop {
             if let Some(code) = self.keep_running(&mut coordinator) {
