@@ -98,8 +98,12 @@ impl Proxy {
     /// Does this to every connection that is open; how many there were.
     pub fn break_all(&self, how: Break) -> usize {
         let fates = self.open.fates.lock().expect("no panic");
-        let intact = fates.values().filter(|fate| fate.borrow().is_none());
-        intact.map(|fate| fate.send_replace(Some(how))).count()
+        let mut intact = 0;
+        for fate in fates.values().filter(|fate| fate.borrow().is_none()) {
+            fate.send_replace(Some(how));
+            intact += 1;
+        }
+        intact
     }
 }
 
