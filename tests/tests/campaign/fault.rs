@@ -152,7 +152,7 @@ impl Tamperer {
     /// A receiver takes a job and dies with it.
     pub(crate) async fn drop_job(&mut self) -> Option<String> {
         let (delivery, _consumer) = self.snatch(&JOBS).await?;
-        Some(delivery.message.id.clone())
+        Some(delivery.message.id)
     }
 
     /// Learns what a job of `run` looks like.
