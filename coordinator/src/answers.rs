@@ -1,7 +1,7 @@
 //! Whoever measures videos, as the run sees them: something that gives answers.
 
 use async_trait::async_trait;
-use plumbline_common::message::Job;
+use plumbline_common::message::{Job, Outcome};
 use plumbline_worker::child::Measured;
 
 use crate::fanout::Fanout;
@@ -14,9 +14,22 @@ pub(crate) const EMBEDDED_WORKER: &str = "embedded";
 #[derive(Debug)]
 pub(crate) struct Answer {
     /// What came of it.
-    pub(crate) measured: Measured,
+    pub(crate) outcome: Outcome,
+    /// How often it was tried.
+    pub(crate) attempts: u32,
     /// The worker's name.
     pub(crate) worker: String,
+}
+
+impl Answer {
+    /// One of this machine's.
+    pub(crate) fn embedded(measured: Measured) -> Self {
+        Self {
+            outcome: measured.outcome,
+            attempts: measured.attempts,
+            worker: EMBEDDED_WORKER.to_owned(),
+        }
+    }
 }
 
 /// Slots of this machine, or workers of a fleet.
@@ -46,10 +59,7 @@ pub(crate) trait Answers: Send {
 impl Answers for Fanout<Job> {
     async fn next(&mut self) -> Result<Option<Answer>, RunError> {
         let answer = Fanout::next(self).await.transpose()?;
-        Ok(answer.map(|measured| Answer {
-            measured,
-            worker: EMBEDDED_WORKER.to_owned(),
-        }))
+        Ok(answer.map(Answer::embedded))
     }
 
     async fn kept(&mut self) -> Result<(), RunError> {

@@ -22,7 +22,6 @@ pub mod reference;
 pub mod report;
 pub mod run;
 pub mod sample;
-pub mod settings;
 pub mod slam;
 mod stop;
 pub mod thresholds;

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use plumbline_common::message::Job;
 use plumbline_common::row::Status;
-use plumbline_worker::child::Measured;
 use plumbline_worker::profile::Profile;
 use tokio::time::{MissedTickBehavior, interval};
 
@@ -70,14 +69,14 @@ async fn take_all(
         tokio::select! {
             answer = answers.next() => {
                 let Some(answer) = answer? else { break };
-                let video = &answer.measured.outcome.video;
+                let video = &answer.outcome.video;
                 let Ok(index) = entries.binary_search_by(|entry| entry.video.cmp(video)) else {
                     continue;
                 };
                 if !journal.contains(video) {
-                    progress.advance(answer.measured.outcome.measurement.status == Status::Scored);
+                    progress.advance(answer.outcome.measurement.status == Status::Scored);
                 }
-                compute_s += answer.measured.outcome.cost.total_s;
+                compute_s += answer.outcome.cost.total_s;
                 journal.append(&record(&entries[index], answer, options))?;
                 unkept += 1;
                 if unkept >= ANSWERS_PER_FLUSH {
@@ -106,16 +105,15 @@ async fn keep(
 
 /// What the journal keeps of an entry's measurement.
 pub(crate) fn record(entry: &Entry, answer: Answer, options: &ScoreOptions) -> Record {
-    let Measured { outcome, attempts } = answer.measured;
     Record {
         location: entry.location.clone(),
         bytes: entry.bytes,
         modified_ns: entry.modified_ns,
         profile_digest: options.reduce.profile_digest.clone(),
         intrinsics: entry.intrinsics(),
-        attempts,
+        attempts: answer.attempts,
         worker: answer.worker,
-        outcome,
+        outcome: answer.outcome,
     }
 }
 

@@ -219,7 +219,10 @@ pub enum RunError {
 /// [`RunError`]; whatever was measured is kept and taken over by the next run.
 pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     let started = Instant::now();
-    let listing = corpus::freeze(&options.sources, options.group_by.as_ref(), &options.out)?;
+    let out = options.out.to_string_lossy();
+    let buckets = options.slots.fetcher.s3_options();
+    let group_by = options.group_by.as_ref();
+    let listing = corpus::freeze_anywhere(&options.sources, group_by, &out, buckets).await?;
     tell_ignored(&listing.ignored);
     let entries = listing.entries;
 

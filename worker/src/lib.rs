@@ -4,6 +4,8 @@ pub mod child;
 pub mod decode;
 pub mod encode;
 pub mod explain;
+pub mod fetch;
 pub mod measure;
 pub mod profile;
+pub mod settings;
 pub mod slam;

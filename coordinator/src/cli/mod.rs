@@ -5,6 +5,7 @@ mod explain;
 mod flow;
 mod judge;
 mod measuring;
+mod queue;
 mod reduce;
 mod reducing;
 mod reference;
@@ -19,6 +20,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use plumbline_common::queue::QueueError;
 
 /// Exit codes of every command (design, section 3).
 pub mod exit {
@@ -119,6 +121,14 @@ fn print_text(text: &str, out: &Path) -> Result<(), Failure> {
             out.display()
         ))
     })
+}
+
+/// A broker's error as a command's: an address can be mended, a broker may come back.
+fn queue_failure(error: QueueError) -> Failure {
+    match error {
+        QueueError::Address { .. } => Failure::usage(error),
+        _ => Failure::stopped(error),
+    }
 }
 
 /// How a command fails: the code and the line that says why.

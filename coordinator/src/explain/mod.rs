@@ -216,7 +216,7 @@ async fn explain_into(
     entry: &Entry,
     out: &OutDir,
 ) -> Result<Explained, RunError> {
-    let mut slot = ComputeSlot::new(options.slots.program.clone(), options.slots.limits);
+    let mut slot = options.slots.slot();
     let job = crate::measuring::job(entry, &options.profile).map_err(RunError::Profile)?;
     let Detailed {
         outcome,

@@ -16,10 +16,9 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use plumbline_common::id::RunId;
-use plumbline_common::message::{self, FleetResult};
+use plumbline_common::message::{self, FleetResult, Outcome};
 use plumbline_common::queue::{Broker, Consumer, Delivery, JobKind, Queue, QueueError, Settlement};
 use plumbline_common::row::{Cost, Measurement, Status};
-use plumbline_worker::child::Measured;
 use plumbline_worker::profile::Profile;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
@@ -89,6 +88,7 @@ pub(crate) struct FleetRun {
     /// While what is left in the results queue is read before anything is published.
     drained_at: Option<Instant>,
     last_news: Instant,
+    last_look: Instant,
     hinted: bool,
     /// Not answered, however often they were published.
     given_up: Vec<usize>,
@@ -148,6 +148,7 @@ impl FleetRun {
             unsettled: Vec::new(),
             drained_at: was_there.then(|| now + DRAINED_AFTER),
             last_news: now,
+            last_look: now,
             hinted: false,
             given_up: Vec::new(),
         };
@@ -200,10 +201,8 @@ impl FleetRun {
             return None;
         }
         Some(Answer {
-            measured: Measured {
-                outcome: result.outcome,
-                attempts: result.attempts,
-            },
+            outcome: result.outcome,
+            attempts: result.attempts,
             worker: result.worker,
         })
     }
@@ -238,6 +237,7 @@ impl FleetRun {
             self.publish_waiting();
             return Ok(());
         }
+        self.last_look = Instant::now();
         let jobs = Queue::Jobs(JobKind::Fused);
         let ready = self.broker.ready(&jobs).await?;
         let quiet = self.last_news.elapsed();
@@ -286,25 +286,23 @@ impl FleetRun {
             ),
         );
         Some(Answer {
-            measured: Measured {
-                outcome: message::Outcome {
-                    video: entry.video,
-                    measurement,
-                    cost: Cost::default(),
-                    thumbnails: None,
-                },
-                attempts: MAX_PUBLICATIONS.into(),
+            outcome: Outcome {
+                video: entry.video,
+                measurement,
+                cost: Cost::default(),
+                thumbnails: None,
             },
+            attempts: MAX_PUBLICATIONS.into(),
             worker: String::new(),
         })
     }
 
     fn next_look(&self) -> Instant {
-        let quiet = match self.hinted {
-            true => self.republish_after,
-            false => self.republish_after.min(HINT_AFTER),
+        let republish = self.last_news + self.republish_after;
+        let look = match self.hinted {
+            true => republish,
+            false => republish.min(self.last_news.max(self.last_look) + HINT_AFTER),
         };
-        let look = self.last_news + quiet;
         self.drained_at
             .map_or(look, |drained_at| drained_at.min(look))
     }

@@ -19,7 +19,7 @@ use plumbline_common::row::{Measurement, Status};
 use plumbline_worker::child::Measured;
 use tokio::time::MissedTickBehavior;
 
-use crate::answers::{Answer, EMBEDDED_WORKER};
+use crate::answers::Answer;
 use crate::collect::Journal;
 use crate::corpus::{self, CorpusError, Entry};
 use crate::fanout::Fanout;
@@ -249,10 +249,7 @@ impl Watching<'_> {
         self.measured_now += 1;
         self.compute_s += measured.outcome.cost.total_s;
         let measurement = measured.outcome.measurement.clone();
-        let answer = Answer {
-            measured,
-            worker: EMBEDDED_WORKER.to_owned(),
-        };
+        let answer = Answer::embedded(measured);
         self.journal.append(&record(&entry, answer, self.options))?;
         self.hand_on(&entry, measurement)
     }
