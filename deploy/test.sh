@@ -52,7 +52,7 @@ export_prototype() {
 
 cli='package(plumbline-tests)'
 parity='binary(/^parity/)'
-fleet='package(plumbline-common) and binary(/^(queue|store|restart)$/)'
+fleet='(package(plumbline-common) and binary(/^(queue|store|restart)$/)) or (package(plumbline-worker) and binary(=fleet))'
 servers=deploy/servers.sh
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in

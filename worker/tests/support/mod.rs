@@ -227,6 +227,14 @@ impl Working {
     }
 }
 
+impl Working {
+    /// It ends by itself; why.
+    pub(crate) async fn failed(self) -> String {
+        let ended = timeout(DEADLINE, self.task).await.unwrap().unwrap();
+        ended.unwrap_err().to_string()
+    }
+}
+
 /// What the metrics say, as a scraper reads it.
 pub(crate) fn exposed(metrics: &Metrics) -> String {
     let mut registry = prometheus_client::registry::Registry::default();
