@@ -4,6 +4,7 @@
 //! their retry included; publishing waits for room. Dead letters are bounded, too: the oldest go.
 
 use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
@@ -15,6 +16,7 @@ use super::{
     Settlement,
 };
 use crate::id::RunId;
+use crate::observe::Pulse;
 
 /// Sizes of the queues of one process.
 #[derive(Debug, Clone, Copy)]
@@ -192,6 +194,7 @@ impl Broker for LocalBroker {
             }),
             slots: Arc::new(Semaphore::new(usize::from(slots.max(1)))),
             last_tag: 0,
+            stopped: Arc::default(),
         }))
     }
 
@@ -227,6 +230,7 @@ struct LocalConsumer {
     work: Arc<InWork>,
     slots: Arc<Semaphore>,
     last_tag: u64,
+    stopped: Arc<AtomicBool>,
 }
 
 /// What a consumer handed out and was not settled.
@@ -255,6 +259,15 @@ impl Consumer for LocalConsumer {
         };
         lock(&self.work.held).insert(self.last_tag, (stored, slot));
         Ok(delivery)
+    }
+
+    async fn stop(&mut self) {
+        self.stopped.store(true, Ordering::Relaxed);
+    }
+
+    fn pulse(&self) -> Pulse {
+        let stopped = Arc::clone(&self.stopped);
+        Pulse::new(move || !stopped.load(Ordering::Relaxed))
     }
 }
 

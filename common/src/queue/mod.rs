@@ -20,6 +20,7 @@ pub use local::{LocalBroker, LocalOptions};
 pub use message::{DeadLetter, Message, Settlement};
 
 use crate::id::RunId;
+use crate::observe::Pulse;
 
 /// Deliveries of one message after which the broker itself puts it away as dead: a backstop behind the
 /// worker's own, lower limit on [`Delivery::redeliveries`], since no row comes of it.
@@ -130,6 +131,12 @@ pub trait Consumer: Debug + Send {
     /// [`QueueError`], when the broker stays out of reach or the queue is gone: the consumer is of no
     /// more use.
     async fn next(&mut self) -> Result<Delivery, QueueError>;
+
+    /// Asks for no more messages; those in hand can still be settled. [`Self::next`] is not called again.
+    async fn stop(&mut self);
+
+    /// Whether messages come just now: not while the broker is out of reach, nor after [`Self::stop`].
+    fn pulse(&self) -> Pulse;
 }
 
 /// The right to be a run's one coordinator, until dropped or lost.

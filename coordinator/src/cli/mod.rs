@@ -21,6 +21,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use plumbline_common::queue::QueueError;
+use plumbline_common::telemetry::{self, LogFormat};
 
 /// Exit codes of every command (design, section 3).
 pub mod exit {
@@ -70,7 +71,7 @@ enum Command {
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    plumbline_common::telemetry::init(&cli.log);
+    telemetry::init(&cli.log, LogFormat::Text);
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
         Command::Evaluate(args) => evaluate::run(args),

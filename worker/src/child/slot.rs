@@ -27,7 +27,7 @@ use crate::slam::SlamOutcome;
 
 /// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
 /// video that kills two children is the cause.
-const MAX_ATTEMPTS: u32 = 2;
+pub(crate) const MAX_ATTEMPTS: u32 = 2;
 
 /// How much of a dying child's standard error is kept for the reason.
 const STDERR_TAIL_BYTES: usize = 2048;
