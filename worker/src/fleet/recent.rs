@@ -79,3 +79,22 @@ impl Answered {
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answered_job_is_recognised_once_and_the_oldest_are_forgotten() {
+        let answered = Answered::default();
+        answered.remember("first".to_owned());
+        assert!(!answered.take("other"));
+        assert!(answered.take("first"));
+        assert!(!answered.take("first"));
+        for number in 0..=MAX_ANSWERED {
+            answered.remember(number.to_string());
+        }
+        assert!(!answered.take("0"));
+        assert!(answered.take("1"));
+    }
+}

@@ -13,7 +13,7 @@ use crate::fetch::{FetchError, FetchFailure};
 #[derive(Debug)]
 pub(super) enum Happened {
     /// There is a row.
-    Measured(Measured),
+    Measured(Box<Measured>),
     /// Its object was not fetched.
     NotFetched(FetchError),
 }
@@ -112,11 +112,11 @@ mod tests {
     }
 
     fn measured(status: Status, attempts: u32, answered: bool) -> Happened {
-        Happened::Measured(Measured {
+        Happened::Measured(Box::new(Measured {
             outcome: row(&job(), Measurement::without_score(status, "why")),
             attempts,
             answered,
-        })
+        }))
     }
 
     fn not_fetched(failure: FetchFailure) -> Happened {

@@ -156,11 +156,11 @@ impl Worker {
                 tokio::time::sleep(*job_time).await;
                 let measurement =
                     Measurement::without_score(Status::Static, "not measured (--no-op)");
-                return Ok(Happened::Measured(Measured {
+                return Ok(Happened::Measured(Box::new(Measured {
                     outcome: row(job, measurement),
                     attempts: 1,
                     answered: true,
-                }));
+                })));
             }
             Computer::Child(slot) => slot,
         };
@@ -198,7 +198,7 @@ impl Worker {
         self.metrics
             .children_lost(slot.children_lost() - lost_before);
         self.metrics.stages(&measured.outcome.cost);
-        Ok(Happened::Measured(measured))
+        Ok(Happened::Measured(Box::new(measured)))
     }
 
     /// Publishes the row, then settles the job.
