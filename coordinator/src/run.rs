@@ -39,6 +39,9 @@ pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 /// The frozen list of videos, below [`STATE_DIRECTORY`].
 pub(crate) const FROZEN_FILE: &str = "corpus.jsonl";
 
+/// What the run is called on a fleet, beside it.
+const RUN_FILE: &str = "run";
+
 /// A usable `plumbline score`.
 #[derive(Debug, Clone)]
 pub struct ScoreOptions {
@@ -67,6 +70,13 @@ pub struct ScoreOptions {
 }
 
 impl ScoreOptions {
+    /// What the run is called on a fleet, if one measures it.
+    fn run_on_fleet(&self, entries: &[Entry]) -> Result<Option<RunId>, NotARunId> {
+        let digest = &self.reduce.profile_digest;
+        let name = |fleet: &FleetOptions| fleet::run_name(fleet.name.as_deref(), entries, digest);
+        self.fleet.as_ref().map(name).transpose()
+    }
+
     /// The options that a reader of the report may ask for.
     fn told(&self) -> Vec<(String, String)> {
         let group_by = self
@@ -97,6 +107,8 @@ impl ScoreOptions {
 pub struct Finished {
     /// Where it is.
     pub out: PathBuf,
+    /// What it was called on a fleet.
+    pub run: Option<RunId>,
     /// What was published.
     pub files: Vec<String>,
     /// Rows, statistics and rewards.
@@ -228,6 +240,11 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
 
     let workplace = Workplace::take(options)?;
     write_frozen(&workplace.state, &entries)?;
+    let run = options.run_on_fleet(&entries)?;
+    if let Some(run) = &run {
+        let line = format!("{run}\n");
+        workplace.state.put_atomic(RUN_FILE, line.as_bytes())?;
+    }
     let mut journal = workplace.journal(options, &entries)?;
     let measured_before = journal.len();
     if measured_before > 0 {
@@ -243,7 +260,7 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
         total: entries.len(),
     };
     let mut answers = tokio::select! {
-        answers = ask(options, &entries, &journal) => answers?,
+        answers = ask(options, &entries, &journal, run.as_ref()) => answers?,
         () = stop.recv() => return Err(interrupted(&journal)),
     };
     let measuring = measuring::collect(&mut *answers, options, &entries, &mut journal);
@@ -267,6 +284,7 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     };
     Ok(Finished {
         out: options.out.clone(),
+        run,
         files,
         measured_now: done - measured_before,
         reduced,
@@ -280,16 +298,15 @@ async fn ask(
     options: &ScoreOptions,
     entries: &Arc<Vec<Entry>>,
     journal: &Journal,
+    run: Option<&RunId>,
 ) -> Result<Box<dyn Answers>, RunError> {
     let missing = measuring::missing(entries, journal);
-    let Some(fleet) = &options.fleet else {
+    let (Some(fleet), Some(run)) = (&options.fleet, run) else {
         let jobs = missing.iter().filter_map(|&index| entries.get(index));
         let jobs = jobs.filter_map(|entry| job(entry, &options.profile).transpose());
         let jobs: Vec<_> = jobs.collect::<Result<_, _>>().map_err(RunError::Profile)?;
         return Ok(Box::new(Fanout::start(jobs, &options.slots)));
     };
-    let digest = &options.reduce.profile_digest;
-    let run = fleet::run_name(fleet.name.as_deref(), entries, digest)?;
     say(&format!(
         "run {run}: {} videos for the fleet",
         missing.len()
@@ -300,7 +317,9 @@ async fn ask(
         profile: options.profile.clone(),
         resume: options.resume,
     };
-    Ok(Box::new(FleetRun::start(fleet, run, questions).await?))
+    Ok(Box::new(
+        FleetRun::start(fleet, run.clone(), questions).await?,
+    ))
 }
 
 /// OUT, held against other runs.

@@ -98,6 +98,7 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
     };
     Ok(Finished {
         out: options.out.clone(),
+        run: None,
         files,
         reduced,
         measured_now,
