@@ -10,14 +10,10 @@ use crate::setup::Fleet;
 #[tokio::test]
 async fn a_job_past_its_deadline_is_a_row_and_a_dead_letter_and_is_measured_after_a_fix() {
     let fleet = Fleet::with_clips("dead", 3).await;
-    // Minutes at this profile on a worker that gives it two seconds.
+    // Seconds at this profile, on a worker that gives it half of one.
     clips::write_long(&fleet.place.video("pick/long.mp4"), 7);
     fleet.upload().await;
-    let score = || {
-        let mut command = fleet.score("out", &["--queue", "--json"]);
-        command.args(["--profile", "draft"]);
-        command
-    };
+    let score = || fleet.score("out", &["--queue", "--json"]);
     let mut hasty = fleet.worker("hasty", &["--deadline", "0.5"]);
     let ended = Started::start(&mut score()).wait().expect_code(3);
     let run = ended.json()["run"].as_str().unwrap().to_owned();

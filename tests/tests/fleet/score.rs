@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use futures_util::TryStreamExt;
+use plumbline_common::store::{ObjectStore, fetch};
 use plumbline_tests::published::names;
 use plumbline_tests::run::Started;
 
@@ -60,6 +62,38 @@ async fn two_workers_score_a_bucket_and_every_file_is_what_one_machine_makes() {
         workers.is_subset(&BTreeSet::from(["first".into(), "second".into()])),
         "{workers:?}"
     );
+}
+
+#[tokio::test]
+async fn an_out_in_a_bucket_holds_the_same_files_and_is_resumed_from() {
+    let fleet = Fleet::with_clips("bucket", 6).await;
+    Started::start(&mut fleet.score("embedded", &[]))
+        .wait()
+        .expect_code(3);
+    let out = fleet.address("out");
+    // Measured here and kept there; the fleet, asked for more rules, has nothing left to measure.
+    let first = Started::start(&mut fleet.score(&out, &["--json"])).wait();
+    assert_eq!(first.expect_code(3).json()["measured_now"], 8);
+    let keep = ["--keep", "2", "--queue", "--json"];
+    let again = Started::start(&mut fleet.score(&out, &keep)).wait();
+    assert_eq!(again.expect_code(3).json()["measured_now"], 0);
+    // Everything anew, by a worker.
+    let _worker = fleet.worker("worker", &[]);
+    let anew = ["--queue", "--no-resume", "--json"];
+    let anew = Started::start(&mut fleet.score(&out, &anew)).wait();
+    assert_eq!(anew.expect_code(3).json()["measured_now"], 8);
+
+    let store = fleet.store("out").await;
+    let objects: Vec<_> = store.list("").try_concat().await.unwrap();
+    let keys: Vec<&str> = objects.iter().map(|object| object.key.as_str()).collect();
+    assert!(keys.contains(&"report.html"), "{keys:?}");
+    assert!(keys.iter().any(|key| key.contains("/parts/")), "{keys:?}");
+    for (name, expected) in fleet.place.published("embedded").stable_files() {
+        let object = objects.iter().find(|object| object.key.as_str() == name);
+        let object = object.unwrap_or_else(|| panic!("{name} is not in {keys:?}"));
+        let found = fetch(&store, object, 64 << 20).await.unwrap();
+        assert!(found == expected, "{name} differs");
+    }
 }
 
 #[tokio::test]
