@@ -1,5 +1,7 @@
 //! A worker on queues of this process, with real compute children: every way that a job can end.
 
+#![allow(clippy::unwrap_used, reason = "what does not work fails the test")]
+
 #[cfg(test)]
 mod support;
 
