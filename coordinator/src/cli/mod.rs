@@ -2,6 +2,7 @@
 
 mod evaluate;
 mod explain;
+mod fleet;
 mod flow;
 mod judge;
 mod measuring;
@@ -53,6 +54,7 @@ enum Command {
     Score(Box<score::ScoreArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Explain(explain::ExplainArgs),
+    Fleet(fleet::FleetArgs),
     Flow(flow::FlowArgs),
     Judge(Box<judge::JudgeArgs>),
     Reference(reference::ReferenceArgs),
@@ -76,6 +78,7 @@ pub fn main() -> ExitCode {
         Command::Score(args) => score::run(*args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Explain(args) => explain::run(args),
+        Command::Fleet(args) => fleet::run(args),
         Command::Flow(args) => flow::run(&args),
         Command::Judge(args) => judge::run(*args),
         Command::Reference(args) => reference::run(args),
@@ -122,6 +125,13 @@ fn print_text(text: &str, out: &Path) -> Result<(), Failure> {
             out.display()
         ))
     })
+}
+
+/// A line of a result that is nowhere else.
+fn print_line(line: &str) -> Result<(), Failure> {
+    let written = writeln!(std::io::stdout(), "{line}");
+    written
+        .map_err(|error| Failure::stopped(format!("standard output cannot be written ({error})")))
 }
 
 /// A broker's error as a command's: an address can be mended, a broker may come back.

@@ -43,16 +43,20 @@ impl BrokerArgs {
 
     /// Connects to it.
     pub(super) async fn connect(&self) -> Result<Arc<dyn Broker>, Failure> {
-        let settings = Settings::load().map_err(Failure::usage)?.queue;
-        let typed = self.queue.as_deref().filter(|url| !url.is_empty());
-        let Some(url) = typed.or(settings.url.as_deref()) else {
-            return Err(Failure::usage(
-                "--queue needs the broker's address: --queue amqp://USER:PASSWORD@HOST:PORT/VHOST, or PLUMBLINE_QUEUE__URL",
-            ));
-        };
-        let broker = AmqpBroker::connect(url, settings.amqp_options()).await;
-        Ok(Arc::new(broker.map_err(super::queue_failure)?))
+        connect(self.queue.as_deref().filter(|url| !url.is_empty())).await
     }
+}
+
+/// Connects to the broker that was typed, or else to that of the settings.
+pub(super) async fn connect(typed: Option<&str>) -> Result<Arc<dyn Broker>, Failure> {
+    let settings = Settings::load().map_err(Failure::usage)?.queue;
+    let Some(url) = typed.or(settings.url.as_deref()) else {
+        return Err(Failure::usage(
+            "the broker's address is missing: --queue amqp://USER:PASSWORD@HOST:PORT/VHOST, or PLUMBLINE_QUEUE__URL",
+        ));
+    };
+    let broker = AmqpBroker::connect(url, settings.amqp_options()).await;
+    Ok(Arc::new(broker.map_err(super::queue_failure)?))
 }
 
 impl QueueArgs {

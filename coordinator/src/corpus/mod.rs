@@ -54,12 +54,7 @@ impl Entry {
     /// Where its bytes are, for people: a path or the address of an object.
     #[must_use]
     pub fn address(&self) -> String {
-        match &self.location {
-            Location::File(path) | Location::ImageSequence(path) => {
-                String::from_utf8_lossy(path).into_owned()
-            }
-            Location::Object(object) => object.to_string(),
-        }
+        self.location.to_string()
     }
 }
 

@@ -7,6 +7,7 @@
 //! which bounds both queues.
 
 mod lease;
+pub mod letters;
 mod publisher;
 mod run_name;
 mod standings;
