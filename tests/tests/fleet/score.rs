@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use futures_util::TryStreamExt;
-use plumbline_common::store::{ObjectStore, fetch};
+use plumbline_common::store::{ObjectKey, ObjectStore, fetch};
+use plumbline_tests::binary::{plumbline, worker};
 use plumbline_tests::published::names;
 use plumbline_tests::run::Started;
 
@@ -62,6 +63,42 @@ async fn two_workers_score_a_bucket_and_every_file_is_what_one_machine_makes() {
         workers.is_subset(&BTreeSet::from(["first".into(), "second".into()])),
         "{workers:?}"
     );
+}
+
+#[tokio::test]
+async fn the_readme_takes_a_new_user_to_scores_with_two_workers() {
+    let fleet = Fleet::with_clips("readme", 4).await;
+    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../README.md"));
+    let readme = readme.unwrap();
+    let (_, section) = readme.split_once("\n## On many machines\n").unwrap();
+    let blocks: Vec<&str> = section.split("```\n").skip(1).step_by(2).collect();
+    let commands = blocks[1];
+    assert_eq!(
+        commands.matches("plumbline-worker --name").count(),
+        2,
+        "{commands}"
+    );
+    let commands = commands
+        .replace(
+            "target/release/plumbline-worker",
+            worker().to_str().unwrap(),
+        )
+        .replace("target/release/plumbline", plumbline().to_str().unwrap())
+        .replace("s3://BUCKET/rollouts", &fleet.address("videos"))
+        .replace("s3://BUCKET/scores", &fleet.address("scores"));
+    let script = format!("trap 'kill $(jobs -p); wait' EXIT\n{commands}");
+    let mut shell = fleet.command("bash".as_ref());
+    Started::start(shell.args(["-c", &script]))
+        .wait()
+        .expect_code(3)
+        .expect_line(&["6 videos for the fleet"]);
+    let store = fleet.store("scores").await;
+    let rows = store
+        .head(&ObjectKey::new("scores.jsonl").unwrap())
+        .await
+        .unwrap();
+    let rows = fetch(&store, &rows, 1 << 20).await.unwrap();
+    assert_eq!(rows.iter().filter(|byte| **byte == b'\n').count(), 6);
 }
 
 #[tokio::test]
