@@ -296,6 +296,11 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     };
     if collected.is_err() {
         keep.flush().await?;
+        if let Some(run) = &run {
+            say(&format!(
+                "workers go on with what is in the queue, unless told not to: plumbline fleet cancel {run}"
+            ));
+        }
     }
     let compute_s = collected?;
 
