@@ -11,6 +11,7 @@ pub mod judge;
 mod lease;
 mod npz;
 pub mod picture;
+pub mod profiles;
 pub mod progress;
 pub mod publish;
 pub mod reduce;

@@ -5,6 +5,7 @@ mod explain;
 mod flow;
 mod judge;
 mod measuring;
+mod profile;
 mod reduce;
 mod reducing;
 mod reference;
@@ -52,6 +53,7 @@ enum Command {
     Explain(explain::ExplainArgs),
     Flow(flow::FlowArgs),
     Judge(Box<judge::JudgeArgs>),
+    Profile(profile::ProfileArgs),
     Reference(reference::ReferenceArgs),
     Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
@@ -75,6 +77,7 @@ pub fn main() -> ExitCode {
         Command::Explain(args) => explain::run(args),
         Command::Flow(args) => flow::run(&args),
         Command::Judge(args) => judge::run(*args),
+        Command::Profile(args) => profile::run(args),
         Command::Reference(args) => reference::run(args),
         Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),
@@ -119,6 +122,11 @@ fn print_text(text: &str, out: &Path) -> Result<(), Failure> {
             out.display()
         ))
     })
+}
+
+/// Puts text that is no file's, too, on standard output.
+fn print_line(text: &str) -> Result<(), Failure> {
+    writeln!(std::io::stdout(), "{text}").map_err(Failure::stopped)
 }
 
 /// How a command fails: the code and the line that says why.
