@@ -262,6 +262,9 @@ impl Measurement {
 pub struct Cost {
     /// Wall time of the whole measurement.
     pub total_s: f64,
+    /// Processor time of it, over all threads: what counts on a busy machine.
+    #[serde(default)]
+    pub cpu_s: f64,
     /// Reading, decoding and resizing.
     pub decode_s: f64,
     /// Optical flow, both directions.
