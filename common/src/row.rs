@@ -260,11 +260,14 @@ impl Measurement {
 /// What a measurement cost; kept apart from the row, since it differs from run to run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
-    /// Wall time of the whole measurement.
+    /// Wall time of the whole measurement, without the fetch.
     pub total_s: f64,
     /// Processor time of it, over all threads: what counts on a busy machine.
     #[serde(default)]
     pub cpu_s: f64,
+    /// Bringing the video from its object store.
+    #[serde(default)]
+    pub fetch_s: f64,
     /// Reading, decoding and resizing.
     pub decode_s: f64,
     /// Optical flow, both directions.

@@ -1,16 +1,42 @@
 //! Logs on standard error, as one subscriber set up by `main`.
 
+use std::str::FromStr;
+
 use tracing_subscriber::EnvFilter;
+
+/// How a line of the log looks.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line, with the spans it is in: for collectors of logs.
+    Json,
+}
+
+impl FromStr for LogFormat {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "text" => Ok(Self::Text),
+            "json" => Ok(Self::Json),
+            _ => Err("there are text and json".to_owned()),
+        }
+    }
+}
 
 /// Sends logs at or above `level` (a tracing directive such as `warn` or `plumbline=debug`) to
 /// standard error. A second call does nothing.
-pub fn init(level: &str) {
+pub fn init(level: &str, format: LogFormat) {
     // The AMQP client warns with the whole body of a message that no queue takes, which is told anyway.
     let filter = EnvFilter::try_new(format!("lapin=error,{level}"))
         .unwrap_or_else(|_| EnvFilter::new("warn"));
-    let _already_set = tracing_subscriber::fmt()
+    let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_target(false)
-        .try_init();
+        .with_writer(std::io::stderr);
+    let _already_set = match format {
+        LogFormat::Text => subscriber.with_target(false).try_init(),
+        LogFormat::Json => subscriber.json().flatten_event(true).try_init(),
+    };
 }

@@ -11,6 +11,7 @@ use plumbline_common::id::VideoId;
 use plumbline_common::message::Job;
 use plumbline_worker::child::{ComputeLimits, ComputeSlot, Drawing, Measured, SlotError};
 use plumbline_worker::explain::{DrawJob, Picture};
+use plumbline_worker::fetch::Fetcher;
 use plumbline_worker::measure::Detailed;
 use plumbline_worker::measure::frames::{FramesJob, SampledFrames};
 use tokio::sync::mpsc;
@@ -28,6 +29,16 @@ pub struct Slots {
     pub count: usize,
     /// What one video may cost.
     pub limits: ComputeLimits,
+    /// Brings objects here.
+    pub fetcher: Fetcher,
+}
+
+impl Slots {
+    /// One of them.
+    #[must_use]
+    pub fn slot(&self) -> ComputeSlot {
+        ComputeSlot::new(self.program.clone(), self.limits, self.fetcher.clone())
+    }
 }
 
 /// Something that a slot can do.
@@ -133,7 +144,7 @@ impl<W: Work> Fanout<W> {
         let (answer_sender, answers) = mpsc::channel(count * QUEUED_PER_SLOT);
         let mut tasks = JoinSet::new();
         for _ in 0..count {
-            let mut slot = ComputeSlot::new(slots.program.clone(), slots.limits);
+            let mut slot = slots.slot();
             let (job_receiver, answer_sender) = (job_receiver.clone(), answer_sender.clone());
             tasks.spawn(async move {
                 while let Ok(job) = job_receiver.recv().await {

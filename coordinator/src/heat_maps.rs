@@ -17,10 +17,11 @@ use plumbline_worker::profile::Profile;
 use crate::corpus::Entry;
 use crate::explain::HEAT_MAP_DIRECTORY;
 use crate::fanout::{Drawn, Fanout, Slots};
+use crate::measuring::job;
 use crate::picture;
 use crate::progress::say;
 use crate::publish::OutDir;
-use crate::run::{RunError, job};
+use crate::run::RunError;
 
 /// Characters of a video's name in a file's name.
 const SLUG_CHARS: usize = 60;

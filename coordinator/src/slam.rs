@@ -9,7 +9,6 @@ use std::path::PathBuf;
 
 use plumbline_vision::slam::se3::Se3;
 use plumbline_vision::slam::trajectory::{AbsoluteError, TimedPose, absolute_error, to_tum};
-use plumbline_worker::child::ComputeSlot;
 use plumbline_worker::profile::Profile;
 use plumbline_worker::slam::{DepthVerdict, SlamOutcome, Tracked};
 use serde_json::{Value, json};
@@ -79,8 +78,8 @@ pub async fn slam(options: &SlamOptions) -> Result<SlamResult, RunError> {
 
 async fn slam_into(options: &SlamOptions, claimed: &Claimed) -> Result<SlamResult, RunError> {
     let Claimed { entry, out, .. } = claimed;
-    let mut slot = ComputeSlot::new(options.slots.program.clone(), options.slots.limits);
-    let job = crate::run::job(entry, &options.profile).map_err(RunError::Profile)?;
+    let mut slot = options.slots.slot();
+    let job = crate::measuring::job(entry, &options.profile).map_err(RunError::Profile)?;
     let outcome = match job {
         Some(job) => slot.track(&job).await?,
         None => {

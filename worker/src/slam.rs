@@ -8,6 +8,7 @@
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::time::Instant;
 
 use plumbline_common::message::Job;
@@ -139,13 +140,13 @@ pub struct EdgeSummary {
     pub cells: usize,
 }
 
-/// Tracks one video.
+/// Tracks one video, an object by its copy on this machine.
 ///
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
-pub(crate) fn track(job: &Job) -> Result<SlamOutcome, MeasureError> {
+pub(crate) fn track(job: &Job, copy: Option<&Path>) -> Result<SlamOutcome, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
-    let input = match Input::open(job, &profile.limits) {
+    let input = match Input::open(job, copy, &profile.limits) {
         Ok(input) => input,
         Err(error) => {
             let row = error.row(job);

@@ -4,6 +4,7 @@
 //! their retry included; publishing waits for room. Dead letters are bounded, too: the oldest go.
 
 use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
@@ -15,6 +16,7 @@ use super::{
     Settlement,
 };
 use crate::id::RunId;
+use crate::observe::Pulse;
 
 /// Sizes of the queues of one process.
 #[derive(Debug, Clone, Copy)]
@@ -55,6 +57,7 @@ struct LocalQueue {
     /// `None` once the queue is deleted.
     ready: Mutex<Option<VecDeque<Stored>>>,
     arrived: Notify,
+    consumers: AtomicU64,
 }
 
 #[derive(Debug)]
@@ -131,6 +134,7 @@ impl LocalQueue {
             room: Arc::new(Semaphore::new(options.capacity)),
             ready: Mutex::new(Some(VecDeque::new())),
             arrived: Notify::new(),
+            consumers: AtomicU64::new(0),
         })
     }
 
@@ -184,14 +188,17 @@ impl Broker for LocalBroker {
     }
 
     async fn consume(&self, queue: &Queue, slots: u16) -> Result<Box<dyn Consumer>, QueueError> {
+        let queue = self.find(queue)?;
+        queue.consumers.fetch_add(1, Ordering::Relaxed);
         Ok(Box::new(LocalConsumer {
             work: Arc::new(InWork {
                 shared: Arc::clone(&self.shared),
-                queue: self.find(queue)?,
+                queue,
                 held: Mutex::default(),
             }),
             slots: Arc::new(Semaphore::new(usize::from(slots.max(1)))),
             last_tag: 0,
+            stopped: Arc::default(),
         }))
     }
 
@@ -199,6 +206,10 @@ impl Broker for LocalBroker {
         let local = self.find(queue)?;
         let ready = lock(&local.ready).as_ref().map(VecDeque::len);
         ready.map(|n| n as u64).ok_or_else(|| missing(queue))
+    }
+
+    async fn consumers(&self, queue: &Queue) -> Result<u64, QueueError> {
+        Ok(self.find(queue)?.consumers.load(Ordering::Relaxed))
     }
 
     async fn delete(&self, run: &RunId) -> Result<(), QueueError> {
@@ -227,6 +238,7 @@ struct LocalConsumer {
     work: Arc<InWork>,
     slots: Arc<Semaphore>,
     last_tag: u64,
+    stopped: Arc<AtomicBool>,
 }
 
 /// What a consumer handed out and was not settled.
@@ -256,10 +268,20 @@ impl Consumer for LocalConsumer {
         lock(&self.work.held).insert(self.last_tag, (stored, slot));
         Ok(delivery)
     }
+
+    async fn stop(&mut self) {
+        self.stopped.store(true, Ordering::Relaxed);
+    }
+
+    fn pulse(&self) -> Pulse {
+        let stopped = Arc::clone(&self.stopped);
+        Pulse::new(move || !stopped.load(Ordering::Relaxed))
+    }
 }
 
 impl Drop for LocalConsumer {
     fn drop(&mut self) {
+        self.work.queue.consumers.fetch_sub(1, Ordering::Relaxed);
         let held = std::mem::take(&mut *lock(&self.work.held));
         let mut held: Vec<_> = held.into_iter().collect();
         // The oldest ends up in front.

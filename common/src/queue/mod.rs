@@ -20,6 +20,7 @@ pub use local::{LocalBroker, LocalOptions};
 pub use message::{DeadLetter, Message, Settlement};
 
 use crate::id::RunId;
+use crate::observe::Pulse;
 
 /// Deliveries of one message after which the broker itself puts it away as dead: a backstop behind the
 /// worker's own, lower limit on [`Delivery::redeliveries`], since no row comes of it.
@@ -107,6 +108,12 @@ pub trait Broker: Debug + Send + Sync {
     /// [`QueueError::Missing`] where there is no such queue.
     async fn ready(&self, queue: &Queue) -> Result<u64, QueueError>;
 
+    /// Consumers of a queue, likewise: 0 of a queue of jobs means that no worker is there.
+    ///
+    /// # Errors
+    /// [`QueueError::Missing`] where there is no such queue.
+    async fn consumers(&self, queue: &Queue) -> Result<u64, QueueError>;
+
     /// Removes a run's results queue with what is in it; none there is none removed.
     ///
     /// # Errors
@@ -130,6 +137,12 @@ pub trait Consumer: Debug + Send {
     /// [`QueueError`], when the broker stays out of reach or the queue is gone: the consumer is of no
     /// more use.
     async fn next(&mut self) -> Result<Delivery, QueueError>;
+
+    /// Asks for no more messages; those in hand can still be settled. [`Self::next`] is not called again.
+    async fn stop(&mut self);
+
+    /// Whether messages come just now: not while the broker is out of reach, nor after [`Self::stop`].
+    fn pulse(&self) -> Pulse;
 }
 
 /// The right to be a run's one coordinator, until dropped or lost.

@@ -50,6 +50,14 @@ pub enum StoreError {
         /// The last failure.
         source: Source,
     },
+    /// A file of this machine cannot be written: for want of room, mostly.
+    #[error("{file}: cannot be written ({source}); make room, or choose another directory")]
+    LocalFile {
+        /// The file.
+        file: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// A name that this store cannot hold.
     #[error(transparent)]
     Key(#[from] KeyError),

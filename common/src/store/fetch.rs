@@ -35,7 +35,7 @@ pub async fn fetch(
 /// the caller's to remove.
 ///
 /// # Errors
-/// As [`fetch`]; [`StoreError::Unusable`] where the file cannot be written.
+/// As [`fetch`]; [`StoreError::LocalFile`] where the file cannot be written.
 pub async fn fetch_to_file(
     store: &dyn ObjectStore,
     meta: &ObjectMeta,
@@ -43,9 +43,9 @@ pub async fn fetch_to_file(
     file: &Path,
 ) -> Result<(), StoreError> {
     check_size(store, meta, max_bytes)?;
-    let not_written = |source: std::io::Error| StoreError::Unusable {
-        object: file.display().to_string(),
-        source: source.into(),
+    let not_written = |source: std::io::Error| StoreError::LocalFile {
+        file: file.display().to_string(),
+        source,
     };
     let mut out = tokio::fs::File::create_new(file)
         .await

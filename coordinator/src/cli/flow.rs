@@ -19,7 +19,7 @@ use serde_json::{Value, json};
 use super::{Failure, exit, print_json};
 use crate::progress::say;
 use crate::publish::out_dir::OutDir;
-use crate::settings::Settings;
+use plumbline_worker::settings::Settings;
 
 /// Largest flow file that is read, bytes: the largest `.flo`.
 const MAX_FLOW_BYTES: u64 = 12 + 8 * MAX_PIXELS;

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use plumbline_worker::fetch::Fetcher;
 use plumbline_worker::profile::{Profile, Rung};
+use plumbline_worker::settings::Settings;
 use serde_json::json;
 
 use super::summary::printable;
@@ -13,7 +15,6 @@ use crate::judge::{
     self, ChatOptions, DEFAULT_PROMPT, JudgeError, JudgeOptions, Judged, Prompt, Verdict,
 };
 use crate::progress::say;
-use crate::settings::Settings;
 
 /// Reasons shown on the terminal; the labels have them all.
 const SHOWN: usize = 10;
@@ -223,6 +224,7 @@ impl JudgeArgs {
                 program: std::env::current_exe().map_err(Failure::stopped)?,
                 count: cores.min(self.concurrency.into()),
                 limits: settings.compute,
+                fetcher: Fetcher::new(settings.store.s3_options(), std::env::temp_dir()),
             },
         })
     }

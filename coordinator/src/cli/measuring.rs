@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use clap::Args;
 use plumbline_vision::slam::intrinsics::Intrinsics;
+use plumbline_worker::fetch::Fetcher;
 use plumbline_worker::profile::Profile;
+use plumbline_worker::settings::Settings;
 
 use super::Failure;
 use crate::fanout::Slots;
 use crate::profiles::{self, ProfileName};
-use crate::settings::Settings;
 use crate::thresholds::{self, FaultCalibration};
 
 /// What was typed about statistics, beside how videos are computed.
@@ -87,6 +88,12 @@ fn parse_intrinsics(text: &str) -> Result<Intrinsics, String> {
 }
 
 impl MeasuringArgs {
+    /// A limit of this machine that was typed.
+    pub(super) fn typed_limit(&self) -> Option<&'static str> {
+        let deadline = self.computing.deadline.map(|_| "--deadline");
+        deadline.or(self.computing.memory.map(|_| "--memory"))
+    }
+
     /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
     pub(super) fn usable(self, jobs: Option<u16>) -> Result<Measuring, Failure> {
         let mut measuring = self.computing.usable(jobs)?;
@@ -122,6 +129,7 @@ impl ComputingArgs {
             program: std::env::current_exe().map_err(Failure::stopped)?,
             count: jobs.map_or(cores, usize::from),
             limits: settings.compute,
+            fetcher: Fetcher::new(settings.store.s3_options(), std::env::temp_dir()),
         };
         if let ProfileName::File(path) = &self.profile {
             let tried = super::runtime()?.block_on(profiles::tried(&profile, &slots));

@@ -2,10 +2,12 @@
 
 mod evaluate;
 mod explain;
+mod fleet;
 mod flow;
 mod judge;
 mod measuring;
 mod profile;
+mod queue;
 mod reduce;
 mod reducing;
 mod reference;
@@ -20,6 +22,8 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use plumbline_common::queue::QueueError;
+use plumbline_common::telemetry::{self, LogFormat};
 
 /// Exit codes of every command (design, section 3).
 pub mod exit {
@@ -51,6 +55,7 @@ enum Command {
     Score(Box<score::ScoreArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Explain(explain::ExplainArgs),
+    Fleet(fleet::FleetArgs),
     Flow(flow::FlowArgs),
     Judge(Box<judge::JudgeArgs>),
     Profile(profile::ProfileArgs),
@@ -70,11 +75,12 @@ enum Command {
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    plumbline_common::telemetry::init(&cli.log);
+    telemetry::init(&cli.log, LogFormat::Text);
     let outcome = match cli.command {
         Command::Score(args) => score::run(*args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Explain(args) => explain::run(args),
+        Command::Fleet(args) => fleet::run(args),
         Command::Flow(args) => flow::run(&args),
         Command::Judge(args) => judge::run(*args),
         Command::Profile(args) => profile::run(args),
@@ -124,9 +130,19 @@ fn print_text(text: &str, out: &Path) -> Result<(), Failure> {
     })
 }
 
-/// Puts text that is no file's, too, on standard output.
-fn print_line(text: &str) -> Result<(), Failure> {
-    writeln!(std::io::stdout(), "{text}").map_err(Failure::stopped)
+/// A line of a result that is nowhere else.
+fn print_line(line: &str) -> Result<(), Failure> {
+    let written = writeln!(std::io::stdout(), "{line}");
+    written
+        .map_err(|error| Failure::stopped(format!("standard output cannot be written ({error})")))
+}
+
+/// A broker's error as a command's: an address can be mended, a broker may come back.
+fn queue_failure(error: QueueError) -> Failure {
+    match error {
+        QueueError::Address { .. } => Failure::usage(error),
+        _ => Failure::stopped(error),
+    }
 }
 
 /// How a command fails: the code and the line that says why.

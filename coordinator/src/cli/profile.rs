@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::{Failure, exit, print_line};
 use crate::profiles::{self, ProfileName};
-use crate::settings::Settings;
+use plumbline_worker::settings::Settings;
 
 /// Shows profiles: every knob, or the differences between two
 #[derive(Debug, Args)]

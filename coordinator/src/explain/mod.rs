@@ -216,8 +216,8 @@ async fn explain_into(
     entry: &Entry,
     out: &OutDir,
 ) -> Result<Explained, RunError> {
-    let mut slot = ComputeSlot::new(options.slots.program.clone(), options.slots.limits);
-    let job = crate::run::job(entry, &options.profile).map_err(RunError::Profile)?;
+    let mut slot = options.slots.slot();
+    let job = crate::measuring::job(entry, &options.profile).map_err(RunError::Profile)?;
     let Detailed {
         outcome,
         times_s,

@@ -50,7 +50,7 @@ pub async fn tried(profile: &Profile, slots: &Slots) -> Result<(), ProfileError>
         modified_ns: 0,
         profile: profile.canonical()?,
     };
-    let mut slot = ComputeSlot::new(slots.program.clone(), slots.limits);
+    let mut slot = ComputeSlot::new(slots.program.clone(), slots.limits, slots.fetcher.clone());
     let row = slot
         .measure(&job)
         .await

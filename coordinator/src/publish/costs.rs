@@ -27,6 +27,7 @@ pub fn cost_columns() -> Vec<Column<CostRow>> {
         Column::field("video", Text, |r| r.video.as_str().into()),
         Column::field("total_s", Float64, |r| r.cost.total_s.into()),
         Column::field("cpu_s", Float64, |r| r.cost.cpu_s.into()),
+        Column::field("fetch_s", Float64, |r| r.cost.fetch_s.into()),
         Column::field("decode_s", Float64, |r| r.cost.decode_s.into()),
         Column::field("flow_s", Float64, |r| r.cost.flow_s.into()),
         Column::field("signals_s", Float64, |r| r.cost.signals_s.into()),

@@ -11,6 +11,7 @@ mod protocol;
 mod slot;
 
 pub use process::run;
+pub(crate) use slot::MAX_ATTEMPTS;
 pub use slot::{ComputeLimits, ComputeSlot, Drawing, Measured, SlotError};
 
 /// The hidden first argument that makes a Plumbline binary a compute child.

@@ -1,6 +1,9 @@
 //! The child's side: limits first, then requests from standard input, answers to standard output.
 
+use std::ffi::OsString;
 use std::io::{BufWriter, Write};
+use std::os::unix::ffi::OsStringExt;
+use std::path::PathBuf;
 use std::sync::mpsc;
 
 use anyhow::Context;
@@ -9,9 +12,9 @@ use plumbline_common::message;
 use rustix::process::{Resource, Rlimit, setrlimit};
 use serde::Serialize;
 
-use super::protocol::{Drawn, Request};
+use super::protocol::{Ask, Drawn, Request};
 use crate::explain::{self, Picture};
-use crate::measure::{frames, measure, measure_in_detail};
+use crate::measure::{frames, measure_in_detail};
 use crate::slam;
 
 /// Answers requests until standard input closes.
@@ -35,15 +38,20 @@ pub fn run(memory_mib: u64) -> anyhow::Result<()> {
     });
     let mut stdout = BufWriter::new(std::io::stdout().lock());
     while let Ok(bytes) = inbox.recv() {
-        match message::decode(&bytes)? {
-            Request::Measure(job) => send(&mut stdout, &measure(&job)?)?,
-            Request::Detail(job) => send(&mut stdout, &measure_in_detail(&job, None)?)?,
-            Request::Track(job) => send(&mut stdout, &slam::track(&job)?)?,
-            Request::Frames(job) => send(&mut stdout, &frames::sample(&job)?)?,
-            Request::Draw(job) => {
+        let Request { ask, copy } = message::decode(&bytes)?;
+        let copy = copy.map(|path| PathBuf::from(OsString::from_vec(path.into_vec())));
+        let copy = copy.as_deref();
+        match ask {
+            Ask::Measure(job) => {
+                send(&mut stdout, &measure_in_detail(&job, copy, None)?.outcome)?;
+            }
+            Ask::Detail(job) => send(&mut stdout, &measure_in_detail(&job, copy, None)?)?,
+            Ask::Track(job) => send(&mut stdout, &slam::track(&job, copy)?)?,
+            Ask::Frames(job) => send(&mut stdout, &frames::sample(&job, copy)?)?,
+            Ask::Draw(job) => {
                 let mut hand_over =
                     |picture: Picture| Ok(send(&mut stdout, &Drawn::Picture(picture))?);
-                let missing = explain::draw(&job, &mut hand_over)?;
+                let missing = explain::draw(&job, copy, &mut hand_over)?;
                 send(&mut stdout, &Drawn::End(missing))?;
             }
         }

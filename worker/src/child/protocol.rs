@@ -7,13 +7,23 @@
 
 use plumbline_common::message::Job;
 use serde::{Deserialize, Serialize};
+use serde_bytes::ByteBuf;
 
 use crate::explain::{DrawJob, Picture};
 use crate::measure::frames::FramesJob;
 
+/// What a child is asked for, and where it finds the bytes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Request {
+    /// What.
+    pub(super) ask: Ask,
+    /// The copy of the job's object on this machine, the platform's path bytes.
+    pub(super) copy: Option<ByteBuf>,
+}
+
 /// What a child is asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) enum Request {
+pub(super) enum Ask {
     /// The row.
     Measure(Job),
     /// The row and what is behind it.
@@ -26,7 +36,7 @@ pub(super) enum Request {
     Frames(FramesJob),
 }
 
-/// One message of the answer to [`Request::Draw`].
+/// One message of the answer to [`Ask::Draw`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Drawn {
     /// A picture.

@@ -1,6 +1,7 @@
 //! The parent's side: one child per slot, started when needed, replaced when it dies.
 
 use std::ops::ControlFlow;
+use std::os::unix::ffi::OsStrExt;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
@@ -11,20 +12,22 @@ use plumbline_common::row::{Cost, Measurement, Status};
 use plumbline_vision::faults::FaultSeries;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_bytes::ByteBuf;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command};
 use tokio::task::JoinHandle;
 
-use super::protocol::{Drawn, Request};
+use super::protocol::{Ask, Drawn, Request};
 use super::{CHILD_ARGUMENT, MEMORY_ARGUMENT};
 use crate::explain::{DrawJob, Picture};
+use crate::fetch::{FetchError, FetchFailure, Fetched, Fetcher};
 use crate::measure::Detailed;
 use crate::measure::frames::{FramesJob, SampledFrames};
 use crate::slam::SlamOutcome;
 
 /// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
 /// video that kills two children is the cause.
-const MAX_ATTEMPTS: u32 = 2;
+pub(crate) const MAX_ATTEMPTS: u32 = 2;
 
 /// How much of a dying child's standard error is kept for the reason.
 const STDERR_TAIL_BYTES: usize = 2048;
@@ -57,6 +60,8 @@ pub struct Measured {
     pub outcome: Outcome,
     /// 1, or 2 after a crash.
     pub attempts: u32,
+    /// Whether a child has answered: not where each died, or passed its deadline.
+    pub answered: bool,
 }
 
 /// How far a drawing came.
@@ -70,7 +75,7 @@ pub enum Drawing {
     Stopped,
 }
 
-/// What ends the run, since no child can do any work.
+/// What ends the run, since no work can be done.
 #[derive(Debug, thiserror::Error)]
 pub enum SlotError {
     /// The child does not start.
@@ -84,6 +89,9 @@ pub enum SlotError {
     /// The job is no message.
     #[error(transparent)]
     Message(#[from] MessageError),
+    /// The store is out of reach, or there is no room for a copy of an object.
+    #[error(transparent)]
+    Fetch(Box<FetchError>),
 }
 
 /// One compute slot: at most one child, at most one job at a time.
@@ -91,7 +99,9 @@ pub enum SlotError {
 pub struct ComputeSlot {
     program: PathBuf,
     limits: ComputeLimits,
+    fetcher: Fetcher,
     running: Option<Running>,
+    children_lost: u64,
 }
 
 #[derive(Debug)]
@@ -103,25 +113,72 @@ struct Running {
 }
 
 impl ComputeSlot {
-    /// A slot whose children run `program` (a Plumbline binary).
+    /// A slot whose children run `program` (a Plumbline binary) on what `fetcher` brings.
     #[must_use]
-    pub fn new(program: PathBuf, limits: ComputeLimits) -> Self {
+    pub fn new(program: PathBuf, limits: ComputeLimits, fetcher: Fetcher) -> Self {
         Self {
             program,
             limits,
+            fetcher,
             running: None,
+            children_lost: 0,
         }
     }
 
-    /// Measures one video; a crash or a passed deadline becomes a `failed` row. Dropping the future
-    /// ends the child.
+    /// Children that died or were ended for their deadline, so far.
+    #[must_use]
+    pub fn children_lost(&self) -> u64 {
+        self.children_lost
+    }
+
+    /// Measures one video; a crash, a passed deadline or an object that cannot be had becomes a row.
+    /// Dropping the future ends the child.
+    ///
+    /// # Errors
+    /// [`SlotError`], when no child can be started at all, or objects are out of reach for now.
+    pub async fn measure(&mut self, job: &Job) -> Result<Measured, SlotError> {
+        match self.fetch(job).await? {
+            Ok(fetched) => self.measure_fetched(job, &fetched).await,
+            Err(row) => Ok(Measured {
+                outcome: answered_by(job, *row),
+                attempts: 1,
+                answered: true,
+            }),
+        }
+    }
+
+    /// The same for a job that was fetched already.
     ///
     /// # Errors
     /// [`SlotError`], when no child can be started at all.
-    pub async fn measure(&mut self, job: &Job) -> Result<Measured, SlotError> {
-        let (answer, attempts) = self.ask(&Request::Measure(job.clone())).await?;
-        let outcome = answer.unwrap_or_else(|reason| failed(job, reason));
-        Ok(Measured { outcome, attempts })
+    pub async fn measure_fetched(
+        &mut self,
+        job: &Job,
+        fetched: &Fetched,
+    ) -> Result<Measured, SlotError> {
+        let (answer, attempts) = self.ask(Ask::Measure(job.clone()), fetched).await?;
+        let answered = answer.is_ok();
+        let mut outcome = answer.unwrap_or_else(|reason| failed(job, reason));
+        outcome.cost.fetch_s = fetched.took.as_secs_f64();
+        Ok(Measured {
+            outcome,
+            attempts,
+            answered,
+        })
+    }
+
+    /// The job's bytes on this machine, or the row that says why they cannot be had.
+    async fn fetch(&self, job: &Job) -> Result<Result<Fetched, Box<Measurement>>, SlotError> {
+        match self.fetcher.fetch(job).await {
+            Ok(fetched) => Ok(Ok(fetched)),
+            Err(error) if error.failure == FetchFailure::Passing => {
+                Err(SlotError::Fetch(Box::new(error)))
+            }
+            Err(error) => {
+                tracing::warn!(video = %job.video, %error, "not fetched");
+                Ok(Err(error.row))
+            }
+        }
     }
 
     /// The same with what is behind the row.
@@ -129,13 +186,18 @@ impl ComputeSlot {
     /// # Errors
     /// As [`Self::measure`].
     pub async fn measure_in_detail(&mut self, job: &Job) -> Result<Detailed, SlotError> {
-        let (answer, _attempts) = self.ask(&Request::Detail(job.clone())).await?;
-        Ok(answer.unwrap_or_else(|reason| Detailed {
-            outcome: failed(job, reason),
+        let without = |outcome| Detailed {
+            outcome,
             times_s: Vec::new(),
             faults: FaultSeries::default(),
             worst_edge: None,
-        }))
+        };
+        let fetched = match self.fetch(job).await? {
+            Ok(fetched) => fetched,
+            Err(row) => return Ok(without(answered_by(job, *row))),
+        };
+        let (answer, _attempts) = self.ask(Ask::Detail(job.clone()), &fetched).await?;
+        Ok(answer.unwrap_or_else(|reason| without(failed(job, reason))))
     }
 
     /// Tracks the camera of one video; a crash or a passed deadline is a refusal.
@@ -143,7 +205,16 @@ impl ComputeSlot {
     /// # Errors
     /// As [`Self::measure`].
     pub async fn track(&mut self, job: &Job) -> Result<SlamOutcome, SlotError> {
-        let (answer, _attempts) = self.ask(&Request::Track(job.clone())).await?;
+        let fetched = match self.fetch(job).await? {
+            Ok(fetched) => fetched,
+            Err(row) => {
+                return Ok(SlamOutcome::Refused {
+                    status: row.status,
+                    reason: reason_of(*row),
+                });
+            }
+        };
+        let (answer, _attempts) = self.ask(Ask::Track(job.clone()), &fetched).await?;
         Ok(answer.unwrap_or_else(|reason| SlamOutcome::Refused {
             status: Status::Failed,
             reason,
@@ -158,7 +229,11 @@ impl ComputeSlot {
         &mut self,
         job: &FramesJob,
     ) -> Result<Result<SampledFrames, String>, SlotError> {
-        let (answer, _attempts) = self.ask(&Request::Frames(job.clone())).await?;
+        let fetched = match self.fetch(&job.job).await? {
+            Ok(fetched) => fetched,
+            Err(row) => return Ok(Err(reason_of(*row))),
+        };
+        let (answer, _attempts) = self.ask(Ask::Frames(job.clone()), &fetched).await?;
         Ok(answer.and_then(|sampled| sampled))
     }
 
@@ -166,13 +241,17 @@ impl ComputeSlot {
     /// since what was taken cannot be taken back. Dropping the future ends the child.
     ///
     /// # Errors
-    /// [`SlotError`], when no child can be started at all.
+    /// As [`Self::measure`].
     pub async fn draw<F: FnMut(Picture) -> ControlFlow<()>>(
         &mut self,
         job: &DrawJob,
         take: &mut F,
     ) -> Result<Drawing, SlotError> {
-        let request = message::encode(&Request::Draw(job.clone()))?;
+        let fetched = match self.fetch(&job.job).await? {
+            Ok(fetched) => fetched,
+            Err(row) => return Ok(Drawing::Missing(reason_of(*row))),
+        };
+        let request = encode(Ask::Draw(job.clone()), &fetched)?;
         let mut running = match self.running.take() {
             Some(running) => running,
             None => self.spawn()?,
@@ -185,21 +264,28 @@ impl ComputeSlot {
                 }
                 Ok(drawing)
             }
-            Err(_elapsed) => Ok(Drawing::Missing(self.too_slow())),
-            Ok(Err(broken)) => Ok(Drawing::Missing(format!(
-                "the compute process died while drawing ({}); its memory limit is {} MiB (--memory)",
-                running.obituary(broken).await,
-                self.limits.memory_mib
-            ))),
+            Err(_elapsed) => {
+                self.children_lost += 1;
+                Ok(Drawing::Missing(self.too_slow()))
+            }
+            Ok(Err(broken)) => {
+                self.children_lost += 1;
+                Ok(Drawing::Missing(format!(
+                    "the compute process died while drawing ({}); its memory limit is {} MiB (--memory)",
+                    running.obituary(broken).await,
+                    self.limits.memory_mib
+                )))
+            }
         }
     }
 
     /// One request and its answer, or the reason for none, and the number of attempts.
     async fn ask<T: DeserializeOwned>(
         &mut self,
-        request: &Request,
+        ask: Ask,
+        fetched: &Fetched,
     ) -> Result<(Result<T, String>, u32), SlotError> {
-        let request = message::encode(request)?;
+        let request = encode(ask, fetched)?;
         let mut reason = String::new();
         for attempts in 1..=MAX_ATTEMPTS {
             let mut running = match self.running.take() {
@@ -211,8 +297,12 @@ impl ComputeSlot {
                     self.running = Some(running);
                     return Ok((Ok(answer), attempts));
                 }
-                Err(_elapsed) => return Ok((Err(self.too_slow()), attempts)),
+                Err(_elapsed) => {
+                    self.children_lost += 1;
+                    return Ok((Err(self.too_slow()), attempts));
+                }
                 Ok(Err(broken)) => {
+                    self.children_lost += 1;
                     reason = running.obituary(broken).await;
                     tracing::warn!(attempts, reason, "compute child lost");
                 }
@@ -378,11 +468,27 @@ async fn tail_of(mut stderr: ChildStderr) -> Vec<u8> {
     tail
 }
 
+fn encode(ask: Ask, fetched: &Fetched) -> Result<Vec<u8>, MessageError> {
+    let path = fetched.path().map(|path| path.as_os_str().as_bytes());
+    message::encode(&Request {
+        ask,
+        copy: path.map(|path| ByteBuf::from(path.to_vec())),
+    })
+}
+
 fn failed(job: &Job, reason: String) -> Outcome {
+    answered_by(job, Measurement::without_score(Status::Failed, reason))
+}
+
+fn answered_by(job: &Job, row: Measurement) -> Outcome {
     Outcome {
         video: job.video.clone(),
-        measurement: Measurement::without_score(Status::Failed, reason),
+        measurement: row,
         cost: Cost::default(),
         thumbnails: None,
     }
+}
+
+fn reason_of(row: Measurement) -> String {
+    row.status_reason.unwrap_or_default()
 }

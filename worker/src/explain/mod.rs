@@ -12,6 +12,7 @@ pub mod plot;
 mod scale;
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use plumbline_common::message::Job;
 use plumbline_vision::faults::{FaultEvent, FaultKind};
@@ -137,6 +138,7 @@ struct Kept {
 /// [`ExplainError`].
 pub(crate) fn draw(
     request: &DrawJob,
+    copy: Option<&Path>,
     take: &mut dyn FnMut(Picture) -> Result<(), Box<dyn std::error::Error + Send + Sync>>,
 ) -> Result<Option<String>, ExplainError> {
     let profile: Profile =
@@ -181,7 +183,7 @@ pub(crate) fn draw(
         wanted_maps: wanted_maps.collect(),
         on_frame: &mut on_frame,
     };
-    let detailed = measure_in_detail(&request.job, Some(view))?;
+    let detailed = measure_in_detail(&request.job, copy, Some(view))?;
     if let Some(failure) = failure {
         return Err(failure);
     }

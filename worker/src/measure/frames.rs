@@ -4,6 +4,7 @@
 //! whatever its length.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use plumbline_common::message::Job;
 use plumbline_vision::image::resize_rgb;
@@ -47,13 +48,16 @@ pub struct SampledFrame {
     pub jpeg: Vec<u8>,
 }
 
-/// Samples a video; a text says why there are no pictures.
+/// Samples a video, an object by its copy on this machine; a text says why there are no pictures.
 ///
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
-pub(crate) fn sample(request: &FramesJob) -> Result<Result<SampledFrames, String>, MeasureError> {
+pub(crate) fn sample(
+    request: &FramesJob,
+    copy: Option<&Path>,
+) -> Result<Result<SampledFrames, String>, MeasureError> {
     let profile: Profile = serde_json::from_slice(&request.job.profile)?;
-    let sampled = Input::open(&request.job, &profile.limits)
+    let sampled = Input::open(&request.job, copy, &profile.limits)
         .and_then(|input| sample_input(request, &input, &profile));
     Ok(sampled.map_err(|error: ReadError| error.to_string()))
 }

@@ -16,6 +16,7 @@ mod thumbnail;
 mod verdict;
 
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use plumbline_common::message::{Job, Outcome};
@@ -70,15 +71,16 @@ pub(crate) struct View<'a> {
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
 pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
-    Ok(measure_in_detail(job, None)?.outcome)
+    Ok(measure_in_detail(job, None, None)?.outcome)
 }
 
-/// Measures one video and gives what is behind the row, too.
+/// Measures one video and gives what is behind the row, too; an object by its copy on this machine.
 ///
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
 pub(crate) fn measure_in_detail(
     job: &Job,
+    copy: Option<&Path>,
     mut view: Option<View<'_>>,
 ) -> Result<Detailed, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
@@ -89,7 +91,7 @@ pub(crate) fn measure_in_detail(
     }
     let mut times_s = Vec::new();
     let mut cost = Cost::default();
-    let input = Input::open(job, &profile.limits);
+    let input = Input::open(job, copy, &profile.limits);
     let measurement = match &input {
         Ok(input) => {
             let mut row = match stream(input, &profile, &mut clip, &mut times_s, view) {
@@ -187,7 +189,7 @@ impl ReadError {
     pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
-            Self::Changed { .. } | Self::NotFetched { .. } => Status::Failed,
+            Self::Changed { .. } | Self::NotRead { .. } | Self::Profile(_) => Status::Failed,
         };
         let mut row = Measurement::without_score(status, self.to_string());
         row.bytes = Some(job.bytes);

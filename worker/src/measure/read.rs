@@ -37,21 +37,26 @@ pub(crate) enum ReadError {
         "{path}: changed after the list of videos was made; run again to score what is there now"
     )]
     Changed { path: String },
-    #[error("{object}: was not fetched before it was to be measured; report this defect")]
-    NotFetched { object: String },
+    #[error("{object}: {why}")]
+    NotRead { object: String, why: String },
+    #[error(
+        "the job's profile does not decode: {0}; coordinator and worker must be of one version"
+    )]
+    Profile(serde_json::Error),
 }
 
 impl Input {
-    /// Reads a file whole (its size is limited), or hashes a directory of images.
-    pub(crate) fn open(job: &Job, limits: &DecodeLimits) -> Result<Self, ReadError> {
+    /// Reads a file whole (its size is limited), or hashes a directory of images. An object is read from
+    /// its copy on this machine.
+    pub(crate) fn open(
+        job: &Job,
+        copy: Option<&Path>,
+        limits: &DecodeLimits,
+    ) -> Result<Self, ReadError> {
         match &job.location {
             Location::File(path) => {
                 let path = path_of(path);
-                let bytes = read_file(&path, job, limits)?;
-                Ok(Self {
-                    digest: blake3::hash(&bytes).to_hex().to_string(),
-                    content: Content::Bytes(bytes.into()),
-                })
+                Ok(Self::of_bytes(read_file(&path, job, limits)?))
             }
             Location::ImageSequence(path) => {
                 let path = path_of(path);
@@ -61,9 +66,24 @@ impl Input {
                     content: Content::Images(path),
                 })
             }
-            Location::Object(object) => Err(ReadError::NotFetched {
-                object: object.to_string(),
-            }),
+            Location::Object(object) => match copy {
+                Some(copy) => {
+                    limits.check_bytes(job.bytes)?;
+                    let address = PathBuf::from(object.to_string());
+                    Ok(Self::of_bytes(read_copy(copy, &address, job)?))
+                }
+                None => Err(ReadError::NotRead {
+                    object: object.to_string(),
+                    why: "was not fetched before it was to be measured; report this defect".into(),
+                }),
+            },
+        }
+    }
+
+    fn of_bytes(bytes: Vec<u8>) -> Self {
+        Self {
+            digest: blake3::hash(&bytes).to_hex().to_string(),
+            content: Content::Bytes(bytes.into()),
         }
     }
 
@@ -101,13 +121,26 @@ fn read_file(path: &Path, job: &Job, limits: &DecodeLimits) -> Result<Vec<u8>, R
         return Err(changed());
     }
     limits.check_bytes(job.bytes)?;
-    let mut bytes = Vec::with_capacity(job.bytes as usize);
+    read_whole(file, job.bytes).map_err(io)?.ok_or_else(changed)
+}
+
+/// The copy of the object at `address`; its version was checked when it was made.
+fn read_copy(copy: &Path, address: &Path, job: &Job) -> Result<Vec<u8>, ReadError> {
+    let io = |source| DecodeError::Io {
+        path: address.to_path_buf(),
+        source,
+    };
+    let file = File::open(copy).map_err(io)?;
+    let whole = read_whole(file, job.bytes).map_err(io)?;
+    whole.ok_or_else(|| ReadError::Changed {
+        path: address.display().to_string(),
+    })
+}
+
+/// `None` where there are not exactly so many bytes.
+fn read_whole(file: File, bytes: u64) -> std::io::Result<Option<Vec<u8>>> {
+    let mut whole = Vec::with_capacity(bytes as usize);
     // One byte more than announced, so that a file that grows meanwhile is noticed.
-    file.take(job.bytes + 1)
-        .read_to_end(&mut bytes)
-        .map_err(io)?;
-    if bytes.len() as u64 != job.bytes {
-        return Err(changed());
-    }
-    Ok(bytes)
+    file.take(bytes.saturating_add(1)).read_to_end(&mut whole)?;
+    Ok((whole.len() as u64 == bytes).then_some(whole))
 }

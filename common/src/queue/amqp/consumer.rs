@@ -1,15 +1,18 @@
 //! Receiving from a RabbitMQ queue, through broken connections and restarted brokers.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use async_trait::async_trait;
 use futures_util::StreamExt;
-use lapin::options::{BasicAckOptions, BasicConsumeOptions, BasicQosOptions};
+use lapin::options::{BasicAckOptions, BasicCancelOptions, BasicConsumeOptions, BasicQosOptions};
 use lapin::types::FieldTable;
-use lapin::{Acker, Channel};
+use lapin::{Acker, Channel, ChannelStatus};
 use tokio::time::{sleep, timeout};
 
 use super::failure::Failure;
 use super::wire;
 use super::{AmqpBroker, PATIENCE};
+use crate::observe::Pulse;
 use crate::queue::{Consumer, Delivery, Message, Queue, QueueError, Settle, Settlement};
 
 #[derive(Debug)]
@@ -18,6 +21,7 @@ pub(super) struct AmqpConsumer {
     queue: Queue,
     slots: u16,
     open: Option<Open>,
+    status: Status,
     /// Failures since the last delivery.
     failures: u32,
 }
@@ -26,8 +30,14 @@ pub(super) struct AmqpConsumer {
 #[derive(Debug)]
 struct Open {
     stream: lapin::Consumer,
-    _channel: Channel,
+    channel: Channel,
 }
+
+/// How the channel in use does, for whoever asks; it does not keep the channel.
+type Status = Arc<Mutex<Option<ChannelStatus>>>;
+
+/// As a tag of the broker's own choosing.
+const ANY_TAG: &str = "";
 
 impl AmqpConsumer {
     /// Subscribes.
@@ -41,15 +51,21 @@ impl AmqpConsumer {
             queue,
             slots,
             open: None,
+            status: Status::default(),
             failures: 0,
         };
         consumer.open = Some(consumer.subscribe().await?);
         Ok(consumer)
     }
 
+    fn set_status(&self, status: Option<ChannelStatus>) {
+        *self.status.lock().unwrap_or_else(PoisonError::into_inner) = status;
+    }
+
     async fn subscribe(&self) -> Result<Open, QueueError> {
         let name = &self.broker.names().queue(&self.queue);
-        self.broker
+        let open = self
+            .broker
             .retried(&self.queue.to_string(), |session| {
                 async move {
                     let channel = session.channel().await?;
@@ -61,18 +77,17 @@ impl AmqpConsumer {
                     let stream = channel
                         .basic_consume(
                             name.as_str().into(),
-                            "".into(),
+                            ANY_TAG.into(),
                             BasicConsumeOptions::default(),
                             FieldTable::default(),
                         )
                         .await?;
-                    Ok(Open {
-                        stream,
-                        _channel: channel,
-                    })
+                    Ok(Open { stream, channel })
                 }
             })
-            .await
+            .await?;
+        self.set_status(Some(open.channel.status().clone()));
+        Ok(open)
     }
 }
 
@@ -105,7 +120,18 @@ impl Consumer for AmqpConsumer {
                         }),
                     });
                 }
-                Some(Err(error)) => Failure::from(error),
+                // On an open subscription this is no mismatch of properties: a delivery was not settled in
+                // time, and the broker took all of them back.
+                Some(Err(error)) => match Failure::from(error) {
+                    Failure::Mismatch(source) => {
+                        tracing::error!(
+                            queue = %self.queue, %source,
+                            "the broker waited too long for a settlement: raise its consumer_timeout above the deadline of a job"
+                        );
+                        Failure::Passing(source)
+                    }
+                    failure => failure,
+                },
                 None => Failure::Passing("the broker cancelled the subscription".into()),
             };
             self.open = None;
@@ -128,6 +154,25 @@ impl Consumer for AmqpConsumer {
                 }
             }
         }
+    }
+
+    async fn stop(&mut self) {
+        self.set_status(None);
+        let Some(open) = &self.open else {
+            return;
+        };
+        let options = BasicCancelOptions::default();
+        let cancelling = open.channel.basic_cancel(open.stream.tag(), options);
+        // Where the broker does not answer, no messages come either.
+        let _cancelled = timeout(PATIENCE, cancelling).await;
+    }
+
+    fn pulse(&self) -> Pulse {
+        let status = Arc::clone(&self.status);
+        Pulse::new(move || {
+            let status = status.lock().unwrap_or_else(PoisonError::into_inner);
+            status.as_ref().is_some_and(ChannelStatus::connected)
+        })
     }
 }
 

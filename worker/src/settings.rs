@@ -3,9 +3,12 @@
 
 use figment::Figment;
 use figment::providers::{Env, Format, Serialized, Toml};
-use plumbline_worker::child::ComputeLimits;
-use plumbline_worker::decode::DecodeLimits;
+use plumbline_common::queue::AmqpOptions;
+use plumbline_common::store::S3Options;
 use serde::{Deserialize, Serialize};
+
+use crate::child::ComputeLimits;
+use crate::decode::DecodeLimits;
 
 /// The settings file looked for in the working directory.
 const FILE: &str = "plumbline.toml";
@@ -21,6 +24,64 @@ pub struct Settings {
     pub compute: ComputeLimits,
     /// How large a video may be; part of the profile's digest, since it decides what is scored.
     pub decode: DecodeLimits,
+    /// Where objects are.
+    pub store: StoreSettings,
+    /// The broker.
+    pub queue: QueueSettings,
+}
+
+/// An S3-compatible service; what is not said here comes from the vendor's environment
+/// (`AWS_ENDPOINT_URL`, `AWS_REGION`), as credentials always do.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StoreSettings {
+    /// Its address, such as `http://127.0.0.1:9000`.
+    pub endpoint: Option<String>,
+    /// Its region.
+    pub region: Option<String>,
+}
+
+impl StoreSettings {
+    /// How the service is spoken to.
+    #[must_use]
+    pub fn s3_options(&self) -> S3Options {
+        S3Options {
+            endpoint: self.endpoint.clone(),
+            region: self.region.clone(),
+            ..S3Options::default()
+        }
+    }
+}
+
+/// A broker, beside its address.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct QueueSettings {
+    /// Address of the broker for `plumbline-worker`, in the place of `--queue`: an address holds a
+    /// password, which everybody on a machine may see in a command line.
+    pub url: Option<String>,
+    /// What the names of queues begin with: fleets that share a broker differ in it.
+    pub namespace: String,
+}
+
+impl Default for QueueSettings {
+    fn default() -> Self {
+        Self {
+            url: None,
+            namespace: AmqpOptions::default().namespace,
+        }
+    }
+}
+
+impl QueueSettings {
+    /// How the broker is spoken to.
+    #[must_use]
+    pub fn amqp_options(&self) -> AmqpOptions {
+        AmqpOptions {
+            namespace: self.namespace.clone(),
+            ..AmqpOptions::default()
+        }
+    }
 }
 
 /// Why the settings are unusable.
@@ -99,12 +160,21 @@ mod tests {
     #[test]
     fn environment_beats_file_beats_defaults() {
         figment::Jail::expect_with(|jail| {
-            jail.create_file(FILE, "[compute]\ndeadline_s = 5.0\nmemory_mib = 512\n")?;
+            jail.create_file(
+                FILE,
+                "[compute]\ndeadline_s = 5.0\nmemory_mib = 512\n[store]\nregion = \"r\"\n",
+            )?;
             jail.set_env("PLUMBLINE_COMPUTE__DEADLINE_S", "7.5");
+            jail.set_env("PLUMBLINE_STORE__ENDPOINT", "http://127.0.0.1:9000");
+            jail.set_env("PLUMBLINE_QUEUE__NAMESPACE", "night");
             let settings = Settings::load().map_err(|error| error.to_string())?;
             assert_eq!(settings.compute.deadline_s, 7.5);
             assert_eq!(settings.compute.memory_mib, 512);
             assert_eq!(settings.decode, DecodeLimits::default());
+            let s3 = settings.store.s3_options();
+            assert_eq!(s3.endpoint.as_deref(), Some("http://127.0.0.1:9000"));
+            assert_eq!(s3.region.as_deref(), Some("r"));
+            assert_eq!(settings.queue.amqp_options().namespace, "night");
             Ok(())
         });
     }

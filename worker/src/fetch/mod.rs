@@ -1,0 +1,229 @@
+//! The bytes of a job's object, brought to this machine before its child measures them.
+//!
+//! Ranged, in the version that was listed, and never more than the profile allows. What is said of an
+//! object in a row names its address and is the same text on every machine: neither the scratch file nor
+//! the words of a service are in it.
+
+mod scratch;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use plumbline_common::message::{Job, Location, ObjectLocation};
+use plumbline_common::row::Measurement;
+use plumbline_common::store::{
+    ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_to_file,
+};
+use tempfile::TempPath;
+use tokio::sync::{Mutex, OnceCell};
+
+use self::scratch::Scratch;
+use crate::measure::read::ReadError;
+use crate::profile::Profile;
+
+/// Stores kept open: jobs name their bucket, and nobody says how many there are.
+const MAX_OPEN_STORES: usize = 64;
+
+/// Where objects are read from and put meanwhile. Clones share both.
+#[derive(Debug, Clone)]
+pub struct Fetcher {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    s3: S3Options,
+    scratch_parent: PathBuf,
+    scratch: OnceCell<Scratch>,
+    /// By bucket.
+    stores: Mutex<HashMap<String, Arc<dyn ObjectStore>>>,
+}
+
+/// A job whose bytes are on this machine.
+#[derive(Debug)]
+pub struct Fetched {
+    /// The copy of an object, removed when dropped; files are read where they are.
+    copy: Option<TempPath>,
+    /// Bytes read from a store.
+    pub bytes: u64,
+    /// How long that took.
+    pub took: Duration,
+}
+
+impl Fetched {
+    /// The copy, where the job is an object.
+    pub(crate) fn path(&self) -> Option<&Path> {
+        self.copy.as_deref()
+    }
+}
+
+/// What a failed fetch means for the job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FetchFailure {
+    /// The object is the reason: no machine will ever do better.
+    Final,
+    /// The store says no; another machine's credentials may do.
+    Refused,
+    /// The store is out of reach, or the copy cannot be written here: later it may work.
+    Passing,
+}
+
+/// An object that was not fetched.
+#[derive(Debug, thiserror::Error)]
+#[error("{source}")]
+pub struct FetchError {
+    /// What it means.
+    pub failure: FetchFailure,
+    /// The row of the video, if this is the end of it.
+    pub row: Box<Measurement>,
+    /// What happened, in all detail.
+    pub source: Box<dyn std::error::Error + Send + Sync>,
+}
+
+impl Fetcher {
+    /// A fetcher of S3 objects, with its copies in a directory of its own below `scratch_parent`. Nothing is
+    /// touched before the first object.
+    #[must_use]
+    pub fn new(s3: S3Options, scratch_parent: impl Into<PathBuf>) -> Self {
+        Self {
+            shared: Arc::new(Shared {
+                s3,
+                scratch_parent: scratch_parent.into(),
+                scratch: OnceCell::new(),
+                stores: Mutex::default(),
+            }),
+        }
+    }
+
+    /// How stores are spoken to.
+    #[must_use]
+    pub fn s3_options(&self) -> &S3Options {
+        &self.shared.s3
+    }
+
+    /// Reads the objects of `bucket` from `store` instead of S3: for tests.
+    pub async fn put_store(&self, bucket: &str, store: Arc<dyn ObjectStore>) {
+        let mut stores = self.shared.stores.lock().await;
+        stores.insert(bucket.to_owned(), store);
+    }
+
+    /// Brings the bytes of `job` here, if they are an object's.
+    ///
+    /// # Errors
+    /// [`FetchError`], with the row that the video gets if nobody tries again.
+    pub async fn fetch(&self, job: &Job) -> Result<Fetched, FetchError> {
+        let started = Instant::now();
+        let (copy, bytes) = match &job.location {
+            Location::File(_) | Location::ImageSequence(_) => (None, 0),
+            Location::Object(object) => (Some(self.copy(job, object).await?), job.bytes),
+        };
+        Ok(Fetched {
+            copy,
+            bytes,
+            took: started.elapsed(),
+        })
+    }
+
+    async fn copy(&self, job: &Job, object: &ObjectLocation) -> Result<TempPath, FetchError> {
+        let ended = |error: ReadError| FetchError {
+            failure: FetchFailure::Final,
+            row: Box::new(error.row(job)),
+            source: error.into(),
+        };
+        let failed = |error: StoreError| match row_error(object, &error) {
+            (FetchFailure::Final, said) => ended(said),
+            (failure, said) => FetchError {
+                failure,
+                row: Box::new(said.row(job)),
+                source: error.into(),
+            },
+        };
+        let profile: Profile = serde_json::from_slice(&job.profile)
+            .map_err(|error| ended(ReadError::Profile(error)))?;
+        // The words of a file that is too large.
+        let limits = profile.limits;
+        limits
+            .check_bytes(job.bytes)
+            .map_err(|error| ended(error.into()))?;
+        let key = ObjectKey::new(&object.key).map_err(|error| failed(error.into()))?;
+        let meta = ObjectMeta {
+            key,
+            bytes: job.bytes,
+            etag: object.etag.clone(),
+            modified_s: object.modified_s,
+        };
+        let store = self.store(&object.bucket).await.map_err(failed)?;
+        let parent = &self.shared.scratch_parent;
+        let scratch = self
+            .shared
+            .scratch
+            .get_or_try_init(|| Scratch::below(parent));
+        let path = scratch.await.map_err(failed)?.new_path().map_err(failed)?;
+        fetch_to_file(&*store, &meta, limits.max_bytes, &path)
+            .await
+            .map_err(failed)?;
+        Ok(path)
+    }
+
+    async fn store(&self, bucket: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
+        let mut stores = self.shared.stores.lock().await;
+        if let Some(store) = stores.get(bucket) {
+            return Ok(Arc::clone(store));
+        }
+        if stores.len() >= MAX_OPEN_STORES {
+            stores.clear();
+        }
+        let store: Arc<dyn ObjectStore> =
+            Arc::new(S3Store::connect(bucket, "", &self.shared.s3).await?);
+        stores.insert(bucket.to_owned(), Arc::clone(&store));
+        Ok(store)
+    }
+}
+
+/// What a store's error means, and the words for a row.
+fn row_error(object: &ObjectLocation, error: &StoreError) -> (FetchFailure, ReadError) {
+    let said = |what: &str| ReadError::NotRead {
+        object: object.to_string(),
+        why: what.to_owned(),
+    };
+    match error {
+        StoreError::NotFound { .. } => (
+            FetchFailure::Final,
+            said("there is no such object; it was removed, or the key is wrong"),
+        ),
+        StoreError::Changed { .. } => (
+            FetchFailure::Final,
+            ReadError::Changed {
+                path: object.to_string(),
+            },
+        ),
+        StoreError::TooLarge { .. } => (
+            FetchFailure::Final,
+            said("is larger than max_bytes allows; re-encode it smaller or raise max_bytes"),
+        ),
+        StoreError::Key(_) => (
+            FetchFailure::Final,
+            said("the key is none that the store can hold; rename the object"),
+        ),
+        StoreError::Denied { .. } => (
+            FetchFailure::Refused,
+            said("access denied; check the credentials and what they may read there"),
+        ),
+        StoreError::Unusable { .. } => (
+            FetchFailure::Refused,
+            said("the store does not give it; check bucket, region and the object's storage class"),
+        ),
+        StoreError::Transient { .. } => (
+            FetchFailure::Passing,
+            said("the store did not answer, however often it was asked; score it again later"),
+        ),
+        StoreError::LocalFile { .. } => (
+            FetchFailure::Passing,
+            said(
+                "no machine could keep a copy of it; make room for scratch files and score it again",
+            ),
+        ),
+    }
+}

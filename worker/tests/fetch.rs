@@ -1,0 +1,184 @@
+//! Videos in an object store are measured as if they were files.
+
+#[cfg(test)]
+mod support;
+
+use std::fs;
+use std::ops::ControlFlow;
+
+use plumbline_common::message::{self, Job};
+use plumbline_common::row::Measurement;
+use plumbline_worker::child::{Drawing, SlotError};
+use plumbline_worker::explain::{DrawJob, Marked, Subject};
+use plumbline_worker::measure::frames::FramesJob;
+use plumbline_worker::slam::SlamOutcome;
+use support::{as_object, clip, fetcher, file_job, profile, slot};
+
+#[tokio::test]
+async fn an_object_and_a_file_of_the_same_bytes_give_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("objects");
+    fs::create_dir(&root).unwrap();
+    clip(&root.join("good.mp4"));
+    let whole = fs::read(root.join("good.mp4")).unwrap();
+    fs::write(root.join("cut.mp4"), &whole[..whole.len() / 2]).unwrap();
+    fs::write(root.join("empty.mp4"), "").unwrap();
+    fs::write(root.join("text.mp4"), "#EXTM3U\n/etc/passwd\n").unwrap();
+    let fetcher = fetcher(&root, &dir.path().join("scratch")).await;
+    let mut slot = slot(&fetcher);
+    for (name, status) in [
+        ("good.mp4", "scored"),
+        ("cut.mp4", "undecodable"),
+        ("empty.mp4", "undecodable"),
+        ("text.mp4", "undecodable"),
+    ] {
+        let file = file_job(name, &root.join(name));
+        let of_file = slot.measure(&file).await.unwrap();
+        let of_object = slot.measure(&as_object(&file, name)).await.unwrap();
+        let measured = &of_object.outcome.measurement;
+        assert_eq!(
+            measured.status.as_str(),
+            status,
+            "{:?}",
+            measured.status_reason
+        );
+        let bytes = |row: &Measurement| message::encode(row).unwrap();
+        assert!(
+            bytes(measured) == bytes(&of_file.outcome.measurement),
+            "{name}"
+        );
+        assert_eq!(of_object.outcome.thumbnails, of_file.outcome.thumbnails);
+    }
+
+    // A limit of the profile: refused before a byte is fetched, in a file's words.
+    let mut limited = file_job("good.mp4", &root.join("good.mp4"));
+    let mut small = profile();
+    small.limits.max_bytes = 100;
+    limited.profile = small.canonical().unwrap();
+    let of_file = slot.measure(&limited).await.unwrap().outcome.measurement;
+    let of_nothing = as_object(&limited, "not-there.mp4");
+    let of_object = slot.measure(&of_nothing).await.unwrap().outcome.measurement;
+    assert_eq!(of_object.status.as_str(), "over_limit");
+    assert_eq!(of_object, of_file);
+
+    // No copy is left, and nothing but the scratch directory's lock.
+    let scratch = fs::read_dir(dir.path().join("scratch")).unwrap();
+    let scratch: Vec<_> = scratch.map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(scratch.len(), 1);
+    assert_eq!(fs::read_dir(&scratch[0]).unwrap().count(), 1);
+    drop((slot, fetcher));
+    assert!(!scratch[0].exists());
+}
+
+#[tokio::test]
+async fn every_question_to_a_child_works_on_an_object() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mp4");
+    clip(&path);
+    let fetcher = fetcher(dir.path(), &dir.path().join("scratch")).await;
+    let mut slot = slot(&fetcher);
+    let file = file_job("a", &path);
+    let object = as_object(&file, "a.mp4");
+
+    let of_file = slot.measure_in_detail(&file).await.unwrap();
+    let of_object = slot.measure_in_detail(&object).await.unwrap();
+    assert_eq!(of_object.outcome.measurement, of_file.outcome.measurement);
+    assert_eq!(of_object.faults, of_file.faults);
+    assert_eq!(of_object.times_s.len(), 8);
+
+    let frames = |job: &Job| FramesJob {
+        job: job.clone(),
+        frames: 3,
+        max_side_px: 64,
+    };
+    let of_object = slot.frames(&frames(&object)).await.unwrap().unwrap();
+    assert_eq!(of_object.frames.len(), 3);
+    assert_eq!(
+        of_object,
+        slot.frames(&frames(&file)).await.unwrap().unwrap()
+    );
+
+    let mut draw = async |job: &Job| {
+        let request = DrawJob {
+            job: job.clone(),
+            heat_maps: vec![(Subject::EndPointError, 3)],
+            overlay: false,
+            marked: Marked::default(),
+        };
+        let mut pictures = Vec::new();
+        let mut take = |picture| {
+            pictures.push(picture);
+            ControlFlow::Continue(())
+        };
+        assert_eq!(
+            slot.draw(&request, &mut take).await.unwrap(),
+            Drawing::Whole
+        );
+        pictures
+    };
+    let of_object = draw(&object).await;
+    assert_eq!(of_object.len(), 1);
+    assert_eq!(of_object, draw(&file).await);
+
+    let of_object = slot.track(&object).await.unwrap();
+    match (&of_object, &slot.track(&file).await.unwrap()) {
+        (SlamOutcome::Refused { reason, .. }, of_file) => {
+            panic!("{reason} {of_file:?}");
+        }
+        (SlamOutcome::Tracked(a), SlamOutcome::Tracked(b)) => {
+            assert_eq!(a.residual_px, b.residual_px)
+        }
+        (_, SlamOutcome::Refused { reason, .. }) => panic!("{reason}"),
+    }
+}
+
+#[tokio::test]
+async fn texts_name_the_object_and_are_the_same_everywhere() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mp4");
+    clip(&path);
+    let fetcher = fetcher(dir.path(), &dir.path().join("scratch")).await;
+    let mut slot = slot(&fetcher);
+    let there = as_object(&file_job("a", &path), "a.mp4");
+    let changed = Job {
+        bytes: there.bytes - 1,
+        ..there.clone()
+    };
+    let gone = as_object(&there, "gone.mp4");
+    let no_path = as_object(&there, "../a.mp4");
+    for (job, said) in [
+        (
+            changed,
+            "s3://bucket/a.mp4: changed after the list of videos was made; run again to score what is there now",
+        ),
+        (
+            gone,
+            "s3://bucket/gone.mp4: there is no such object; it was removed, or the key is wrong",
+        ),
+        (
+            no_path,
+            "s3://bucket/../a.mp4: the key is none that the store can hold; rename the object",
+        ),
+    ] {
+        let row = slot.measure(&job).await.unwrap().outcome.measurement;
+        assert_eq!(row.status.as_str(), "failed");
+        assert_eq!(row.status_reason.as_deref(), Some(said));
+        assert_eq!(row.bytes, Some(job.bytes));
+    }
+}
+
+#[tokio::test]
+async fn without_room_for_copies_an_embedded_run_stops_rather_than_failing_videos() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mp4");
+    clip(&path);
+    // A file where the scratch directory should be.
+    let fetcher = fetcher(dir.path(), &path).await;
+    let stopped = slot(&fetcher)
+        .measure(&as_object(&file_job("a", &path), "a.mp4"))
+        .await;
+    let Err(SlotError::Fetch(error)) = stopped else {
+        panic!("{stopped:?}");
+    };
+    assert!(error.to_string().contains("cannot be written"), "{error}");
+}
