@@ -453,7 +453,7 @@ async fn a_drained_worker_finishes_what_is_in_work_and_takes_no_more() {
         2
     );
     assert_eq!(place.run.waiting(&JOBS).await, 3);
-    let next = receive(&*place.broker, &JOBS).await;
+    let (next, _consumer) = receive(&*place.broker, &JOBS).await;
     assert_eq!((next.redeliveries, next.message.attempt), (0, 1));
 }
 
@@ -467,7 +467,7 @@ async fn after_the_grace_jobs_are_handed_back_without_counting_as_deaths() {
     wait_until(async || exposed(&working.metrics).contains("jobs_in_work 1")).await;
     let metrics = exposed(&working.stopped(Stop::Drain).await);
     assert!(metrics.contains("outcome=\"handed_back\"} 1"), "{metrics}");
-    let again = receive(&*place.broker, &JOBS).await;
+    let (again, _consumer) = receive(&*place.broker, &JOBS).await;
     assert_eq!((again.redeliveries, again.message.attempt), (0, 2));
 }
 
@@ -480,7 +480,7 @@ async fn told_twice_a_worker_ends_at_once_and_its_jobs_come_again() {
     wait_until(async || exposed(&working.metrics).contains("jobs_in_work 1")).await;
     working.stop.send_replace(Stop::Drain);
     working.stopped(Stop::Now).await;
-    let again = receive(&*place.broker, &JOBS).await;
+    let (again, _consumer) = receive(&*place.broker, &JOBS).await;
     assert_eq!((again.redeliveries, again.message.attempt), (1, 1));
 }
 

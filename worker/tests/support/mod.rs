@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "each test program uses its own part")]
 
+pub(crate) mod gate;
+
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +13,7 @@ use plumbline_common::backoff::Backoff;
 use plumbline_common::file_time::modified_ns;
 use plumbline_common::id::{RunId, VideoId};
 use plumbline_common::message::{self, FleetJob, FleetResult, Job, Location, ObjectLocation};
-use plumbline_common::queue::{Broker, Delivery, Message, Queue, Settlement};
+use plumbline_common::queue::{Broker, Consumer, Delivery, Message, Queue, Settlement};
 use plumbline_common::store::{DirStore, S3Options};
 use plumbline_vision::image::Rgb8;
 use plumbline_worker::child::{ComputeLimits, ComputeSlot};
@@ -153,7 +155,7 @@ impl Run {
     /// The next result, with its message.
     pub(crate) async fn answer(&self) -> (FleetResult, Message) {
         let queue = Queue::Results(self.id.clone());
-        let delivery = receive(&*self.broker, &queue).await;
+        let (delivery, _consumer) = receive(&*self.broker, &queue).await;
         let message = delivery.message.clone();
         let result: FleetResult = message::decode(&message.body).unwrap();
         assert_eq!(result.message_id(), message.id);
@@ -171,7 +173,7 @@ impl Run {
 
     /// The reason of the next dead letter, and the id of its message.
     pub(crate) async fn dead_letter(&self) -> (String, String) {
-        let delivery = receive(&*self.broker, &Queue::Dead).await;
+        let (delivery, _consumer) = receive(&*self.broker, &Queue::Dead).await;
         let dead = delivery.dead.clone().unwrap();
         let id = delivery.message.id.clone();
         delivery.settle(Settlement::Done).await.unwrap();
@@ -183,16 +185,12 @@ impl Run {
     }
 }
 
-/// One message; its consumer takes no other.
-pub(crate) async fn receive(broker: &dyn Broker, queue: &Queue) -> Delivery {
+/// One message, and the consumer without which it would go back.
+pub(crate) async fn receive(broker: &dyn Broker, queue: &Queue) -> (Delivery, Box<dyn Consumer>) {
     let mut consumer = broker.consume(queue, 1).await.unwrap();
     let delivery = timeout(DEADLINE, consumer.next()).await;
-    let delivery = delivery
-        .unwrap_or_else(|_| panic!("nothing came from {queue}"))
-        .unwrap();
-    // Dropping the consumer would take the delivery back.
-    std::mem::forget(consumer);
-    delivery
+    let delivery = delivery.unwrap_or_else(|_| panic!("nothing came from {queue}"));
+    (delivery.unwrap(), consumer)
 }
 
 /// A worker at work.

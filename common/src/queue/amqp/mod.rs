@@ -184,7 +184,7 @@ impl AmqpBroker {
             };
             match (failure, self.options().backoff.after_with_jitter(attempts)) {
                 (Failure::Passing(source), Some(wait)) => {
-                    tracing::debug!(broker = self.shared.address, attempts, %source, "trying again");
+                    tracing::info!(broker = self.shared.address, attempts, %source, "trying again");
                     sleep(wait).await;
                     attempts += 1;
                 }
