@@ -8,6 +8,7 @@ use arrow_cast::{CastOptions, cast_with_options};
 use arrow_schema::{DataType, Field, Schema, SchemaRef};
 
 use super::error::ReduceFilesError;
+use super::table_file::TableFile;
 use crate::publish::encode::data_type;
 use crate::publish::scores::score_columns;
 use crate::publish::table::{Kind, Seen};
@@ -27,6 +28,9 @@ const MADE: [&str; 12] = [
     "reward",
     "recipe",
 ];
+
+/// Columns that are made where the rows have none.
+const NEEDED: [&str; 3] = ["video", "status", "status_reason"];
 
 /// One column of the rows as they are read.
 #[derive(Debug, Clone, PartialEq)]
@@ -128,6 +132,16 @@ impl Columns {
     pub(super) fn read(&self) -> Vec<&str> {
         let names = self.all.iter().map(|column| column.name.as_str());
         names.filter(|name| !MADE.contains(name)).collect()
+    }
+
+    /// Those of [`Self::read`] that any table has, and those that a row must have: the others need not
+    /// be moved.
+    pub(super) fn in_any(&self, tables: &[TableFile]) -> Vec<&str> {
+        let there = |name: &&str| {
+            let mut schemas = tables.iter().map(TableFile::schema);
+            NEEDED.contains(name) || schemas.any(|schema| schema.column_with_name(name).is_some())
+        };
+        self.read().into_iter().filter(there).collect()
     }
 
     /// A batch as a file has it, with these columns in our types; nulls where the file has none.

@@ -14,7 +14,7 @@ use plumbline_common::row::Status;
 use super::columns::Columns;
 use super::error::{ReduceFilesError, joined};
 use super::float_file::FloatFile;
-use super::rows::{check, floats, groups, texts};
+use super::rows::{check, groups, texts};
 use super::sort::videos;
 use super::table_file::{BATCH_ROWS, TableFile};
 use crate::corpus::GroupBy;
@@ -273,25 +273,8 @@ impl Taking<'_> {
                 names.value(0).clone_into(&mut span.first);
             }
             span.last = last.to_owned();
-            let mut values = vec![f64::NAN; batch.num_rows()];
-            let scored: Vec<bool> = checked
-                .statuses
-                .iter()
-                .map(|&status| status == Status::Scored)
-                .collect();
             for signal in Signal::ALL {
-                match floats(batch, signal.column()) {
-                    None => values.fill(f64::NAN),
-                    Some(column) => {
-                        let found = column.values().iter().zip(&scored).enumerate();
-                        for ((k, (&value, &scored)), out) in found.zip(&mut values) {
-                            let there = scored && column.is_valid(k);
-                            // + 0 turns −0 into 0.
-                            *out = if there { value + 0.0 } else { f64::NAN };
-                        }
-                    }
-                }
-                self.signals[signal].write(row, &values)?;
+                self.signals[signal].write(row, &checked.signal(signal))?;
             }
             let groups = groups(batch, self.group_by, file)?;
             self.share(row, &checked, groups.as_ref())?;

@@ -149,8 +149,24 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
         options.budget.section_rows,
     )?;
 
+    let reference = reduced.reference.as_deref();
+    let comparison = reference
+        .map(|reference| reference.compare(reduced.recipe, &intake.signals, &anomalies))
+        .transpose()?;
+    let Intake {
+        tables,
+        rows,
+        signals,
+        groups: group_file,
+        profile_digest,
+        ..
+    } = *intake;
+    // The last pass has them at hand in the rows: their scratch files need not outlive this.
+    drop(signals);
+
     let completion = Completion {
-        intake: &intake,
+        tables: &tables,
+        groups: group_file.as_ref(),
         columns: &columns,
         yardsticks: &yardsticks,
         anomalies: &anomalies,
@@ -171,17 +187,13 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
         .into_iter()
         .map(|(name, group)| (name, group.population))
         .collect();
-    let reference = reduced.reference.as_deref();
-    let comparison = reference
-        .map(|reference| reference.compare(reduced.recipe, &intake.signals, &anomalies))
-        .transpose()?;
     let statistics = tally.statistics(corpus.population, groups, fragility, comparison, reduced);
-    let bytes = corpus_json(&corpus_file(&files, &intake, statistics.clone()))?;
+    let bytes = corpus_json(&corpus_file(&files, profile_digest, statistics.clone()))?;
     out.put_atomic(CORPUS_FILE, &bytes)?;
     files_written.push(publish::CORPUS_FILE.to_owned());
     Ok(ReducedFiles {
         files: files_written,
-        rows: intake.rows,
+        rows,
         statistics,
     })
 }
@@ -298,18 +310,21 @@ fn left_out(intake: &Intake, corpus: &Surveyed) -> Result<Vec<sensitivity::Row>,
 
 /// The `corpus.json` of the run that the rows come from, where it lies beside them and speaks of the
 /// same profile.
-fn beside(files: &[PathBuf], intake: &Intake) -> Option<CorpusFile> {
-    let digest = intake.profile_digest.as_ref();
+fn beside(files: &[PathBuf], profile_digest: Option<&String>) -> Option<CorpusFile> {
     files
         .iter()
         .filter_map(|file| std::fs::read(file.with_file_name(CORPUS_FILE)).ok())
         .filter_map(|bytes| serde_json::from_slice::<CorpusFile>(&bytes).ok())
-        .find(|corpus| corpus.profile.as_ref().map(|profile| &profile.digest) == digest)
+        .find(|corpus| corpus.profile.as_ref().map(|profile| &profile.digest) == profile_digest)
 }
 
 /// `corpus.json`: profile and source are those of the run that the rows come from, where that is known.
-fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics) -> CorpusFile {
-    match beside(files, intake) {
+fn corpus_file(
+    files: &[PathBuf],
+    profile_digest: Option<String>,
+    statistics: CorpusStatistics,
+) -> CorpusFile {
+    match beside(files, profile_digest.as_ref()) {
         Some(corpus) => CorpusFile {
             plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
             statistics,
@@ -318,7 +333,7 @@ fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics)
         None => CorpusFile {
             plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
             source: Vec::new(),
-            profile: intake.profile_digest.clone().map(|digest| ProfileRecord {
+            profile: profile_digest.map(|digest| ProfileRecord {
                 name: None,
                 digest,
                 parameters: serde_json::Value::Null,

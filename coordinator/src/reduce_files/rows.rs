@@ -13,6 +13,7 @@ use serde_json::{Map, Value};
 
 use super::error::ReduceFilesError;
 use crate::corpus::GroupBy;
+use crate::reduce::recipe::Signal;
 use crate::reduce::reject::{CHECKED_COLUMNS, rejection};
 
 /// Statuses of a batch, with what is not a finite number turned to null and its rows to `failed`.
@@ -89,6 +90,23 @@ pub(super) fn check(batch: RecordBatch, file: &str) -> Result<Checked, ReduceFil
         statuses,
         rejected,
     })
+}
+
+impl Checked {
+    /// The values of a signal: NaN where a row is not scored or lacks it; no −0.
+    pub(super) fn signal(&self, signal: Signal) -> Vec<f64> {
+        let Some(column) = floats(&self.batch, signal.column()) else {
+            return vec![f64::NAN; self.statuses.len()];
+        };
+        let found = column.values().iter().zip(&self.statuses).enumerate();
+        found
+            .map(|(row, (&value, &status))| {
+                let there = status == Status::Scored && column.is_valid(row);
+                // + 0 turns −0 into 0.
+                if there { value + 0.0 } else { f64::NAN }
+            })
+            .collect()
+    }
 }
 
 fn statuses(batch: &RecordBatch, file: &str) -> Result<Vec<Status>, ReduceFilesError> {

@@ -34,13 +34,7 @@ pub(super) fn sorted(
     let mut runs = Vec::new();
     let mut batches: Vec<RecordBatch> = Vec::new();
     let mut bytes = 0;
-    // What no table has, and what is made anew, need not be moved: it is filled in when rows are read.
-    let there = |name: &&str| {
-        tables
-            .iter()
-            .any(|table| table.schema().column_with_name(name).is_some())
-    };
-    let names: Vec<&str> = columns.read().into_iter().filter(there).collect();
+    let names = columns.in_any(tables);
     for table in tables {
         for batch in table.read(&names, None, BATCH_ROWS)? {
             let batch = columns.conform(&batch?, &names, &table.name)?;
