@@ -1,7 +1,7 @@
 //! `plumbline reduce`: the reduce over rows in files, in memory that does not grow with them.
 //!
 //! The statistics are those of `reduce`, gone through over scratch files (`float_file`) instead of
-//! vectors. Passes over the rows: take in (signals, groups, order), sort if need be, write out. In
+//! vectors. Passes over the rows: sort by name if need be (`sorted`), take in (signals, groups), write out. In
 //! between everything works on 8 bytes per row and signal. Memory grows with the number of groups
 //! alone, since each has statistics of its own in `corpus.json` (and of episodes, where rows have an
 //! `episode_index`). Same bits for any order of rows, any split into parts, any number of threads.
@@ -11,14 +11,17 @@ mod columns;
 pub mod error;
 mod float_file;
 pub mod freeze;
+mod in_parallel;
 mod intake;
+mod names;
 mod output;
 mod parts;
 mod paths;
 mod places;
 mod rows;
 mod scoring;
-mod sort;
+mod sorted;
+mod table;
 mod table_file;
 #[cfg(test)]
 mod tests;
@@ -48,6 +51,8 @@ pub(crate) use parts::files;
 use paths::Paths;
 use places::Places;
 use scoring::Yardsticks;
+use sorted::sorted;
+use table::Table;
 
 /// What is held in memory at a time; results do not depend on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,7 +62,7 @@ pub struct Budget {
     /// Rows of groups that are surveyed together, 64 bytes each.
     pub bucket_rows: u64,
     /// Bytes of rows that are sorted by name together.
-    pub run_bytes: usize,
+    pub bucket_bytes: usize,
 }
 
 impl Default for Budget {
@@ -65,7 +70,7 @@ impl Default for Budget {
         Self {
             section_rows: 1 << 20,
             bucket_rows: 1 << 20,
-            run_bytes: 64 << 20,
+            bucket_bytes: 64 << 20,
         }
     }
 }
@@ -218,8 +223,11 @@ fn all_in_order(
     let intake = match take_in(tables, &columns, group_by, scratch, options.threads)? {
         Taken::Ordered(intake) => intake,
         Taken::Unordered(tables) => {
-            let sorted = sort::sorted(&tables, &columns, scratch, options.budget.run_bytes)?;
-            match take_in(vec![sorted], &columns, group_by, scratch, options.threads)? {
+            let bucket_bytes = options.budget.bucket_bytes;
+            let sorted = sorted(&tables, &columns, scratch, bucket_bytes, options.threads)?;
+            drop(tables);
+            let sorted = vec![Table::Sorted(sorted)];
+            match take_in(sorted, &columns, group_by, scratch, options.threads)? {
                 Taken::Ordered(intake) => intake,
                 // Sorting has put them in order; this cannot be.
                 Taken::Unordered(_) => return Err(ReduceFilesError::Thread),

@@ -171,6 +171,21 @@ pub(super) fn shape_at(batch: &RecordBatch, row: usize) -> Option<(u32, u32, f64
     ))
 }
 
+/// The names of a batch.
+pub(super) fn videos<'a>(
+    batch: &'a RecordBatch,
+    file: &str,
+) -> Result<&'a StringArray, ReduceFilesError> {
+    let videos = batch
+        .column_by_name("video")
+        .and_then(|array| array.as_string_opt::<i32>());
+    let videos =
+        videos.filter(|videos| videos.null_count() == 0 && videos.iter().all(|v| v != Some("")));
+    videos.ok_or_else(|| {
+        ReduceFilesError::source(file, "the column `video` must name a video in every row")
+    })
+}
+
 /// The groups of a batch: by the rule, or as the rows have them.
 pub(super) fn groups(
     batch: &RecordBatch,
@@ -182,7 +197,7 @@ pub(super) fn groups(
             .filter(|groups| groups.null_count() < groups.len())
             .cloned());
     };
-    let videos = super::sort::videos(batch, file)?;
+    let videos = videos(batch, file)?;
     let column = match rule {
         GroupBy::Column(name) => Some(name.as_str()),
         GroupBy::Path(_) | GroupBy::Prefix(_) => None,

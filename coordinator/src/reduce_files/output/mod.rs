@@ -23,7 +23,7 @@ use super::paths::Paths;
 use super::places::Places;
 use super::rows::check;
 use super::scoring::Yardsticks;
-use super::table_file::TableFile;
+use super::table::Table;
 use super::trainer_lists::Lists;
 use crate::publish::encode::Format;
 use crate::publish::encode::batches::BatchWriter;
@@ -43,7 +43,7 @@ const WAITING: usize = 1;
 
 /// Everything that the rows are completed with.
 pub(super) struct Completion<'a> {
-    pub(super) tables: &'a [TableFile],
+    pub(super) tables: &'a [Table],
     pub(super) groups: Option<&'a GroupFile>,
     pub(super) columns: &'a Columns,
     pub(super) yardsticks: &'a Yardsticks<'a>,
@@ -134,21 +134,21 @@ impl Completion<'_> {
         let mut pieces: Option<BatchCoalescer> = None;
         for table in self.tables {
             for batch in table.read(&names, None, PIECE_ROWS)? {
-                let batch = self.columns.conform(&batch?, &names, &table.name)?;
+                let batch = self.columns.conform(&batch?, &names, table.name())?;
                 let pieces =
                     pieces.get_or_insert_with(|| BatchCoalescer::new(batch.schema(), PIECE_ROWS));
                 if pieces.is_empty() && batch.num_rows() == PIECE_ROWS {
                     // A whole piece as it is; anything else is cut and joined, which copies it.
-                    if !send(batch, &table.name)? {
+                    if !send(batch, table.name())? {
                         return Ok((tally, lists.lists));
                     }
                     continue;
                 }
                 pieces
                     .push_batch(batch)
-                    .map_err(|error| ReduceFilesError::source(&table.name, error))?;
+                    .map_err(|error| ReduceFilesError::source(table.name(), error))?;
                 while let Some(piece) = pieces.next_completed_batch() {
-                    if !send(piece, &table.name)? {
+                    if !send(piece, table.name())? {
                         return Ok((tally, lists.lists));
                     }
                 }
