@@ -24,6 +24,7 @@ import safetensors.numpy
 import checkpoint
 import convert
 import graph
+import make_probe
 import networks
 import runtime
 import sea_raft
@@ -286,6 +287,10 @@ class Writing(Case):
         for entry in sidecar["graphs"].values():
             self.assertEqual(entry["sha256"], checkpoint.sha256(self.folder / "a" / entry["file"]))
         self.assertEqual(sidecar["graphs"]["update"]["inputs"]["correlation"], ["edges", 196, "rows", "columns"])
+
+    def test_the_probe_in_the_source_is_the_one_made_here(self):
+        written = HERE.parents[1] / "worker" / "src" / "learned" / "probe.onnx"
+        self.assertEqual(written.read_bytes(), make_probe.model().SerializeToString(deterministic=True))
 
     def test_a_batch_is_its_items_and_any_size_runs(self):
         _, _, models = networks.droid(seeded.tensors("droid"))

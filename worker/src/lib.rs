@@ -4,6 +4,7 @@ pub mod child;
 pub mod decode;
 pub mod encode;
 pub mod explain;
+pub mod learned;
 pub mod measure;
 pub mod profile;
 pub mod slam;
