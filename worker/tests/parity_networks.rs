@@ -26,7 +26,11 @@ use plumbline_vision::learned::correlation::{FeatureMap, FeaturePyramid, look_up
 use plumbline_vision::learned::droid::{
     DroidNetworks, Edges, FrameContext, HIDDEN, WINDOW, mean_length,
 };
+use plumbline_vision::learned::droid_operator::{DroidOperator, DroidOperatorParams};
 use plumbline_vision::learned::sea_raft::SeaRaft;
+use plumbline_vision::slam::camera::{Grid, Pinhole};
+use plumbline_vision::slam::operator::{CorrespondenceOperator, EdgeAnswer, EdgeId, EdgeQuery};
+use plumbline_vision::slam::reference::{ReferenceParams, ReferenceTracker};
 use plumbline_worker::learned::{ModelError, ModelSet, Runtime, Threads};
 
 const SEA_RAFT: f32 = 1e-3;
@@ -156,6 +160,7 @@ fn sea_raft_stops_early_and_refuses_what_does_not_fit() {
 struct Droid {
     networks: DroidNetworks,
     golden: Archive,
+    frames: Vec<Rgb8>,
     maps: Vec<FeatureMap>,
     contexts: Vec<FrameContext>,
 }
@@ -187,6 +192,7 @@ fn droid() -> Option<Droid> {
     Some(Droid {
         networks,
         golden,
+        frames,
         maps,
         contexts,
     })
@@ -305,6 +311,100 @@ fn droid_updates_edges_twice_and_damps_their_sources() {
         .collect();
     hold(&damping, "upd/eta");
     assert!(droid.networks.damping(&[], (0, rows, columns)).is_err());
+}
+
+/// The operator gives what the networks give when driven by hand: twice the same question, so that the
+/// second answer shows the state between them.
+#[test]
+fn the_droid_operator_answers_as_the_reference() {
+    let Some(mut droid) = droid() else {
+        return;
+    };
+    let params = DroidOperatorParams {
+        half_storage: false,
+        broadcast_first: false,
+        edges_per_call: 2,
+        ..DroidOperatorParams::default()
+    };
+    let frames = droid.frames;
+    let mut operator = DroidOperator::new(droid.networks, params);
+    for (frame, picture) in frames.iter().enumerate() {
+        assert!(operator.offer(frame, picture).unwrap());
+    }
+    let (sources, targets) = (droid.golden.indices("ii"), droid.golden.indices("jj"));
+    let at = planar(&droid.golden.f32("coords1"));
+    let last = planar(&droid.golden.f32("target"));
+    let field = |all: &[f32], edge: usize| all[edge * 2 * CELLS..][..2 * CELLS].to_vec();
+    let (at, last): (Vec<_>, Vec<_>) = (0..sources.len())
+        .map(|e| (field(&at, e), field(&last, e)))
+        .unzip();
+    let queries: Vec<EdgeQuery<'_>> = (0..sources.len())
+        .map(|edge| EdgeQuery {
+            id: EdgeId(edge as u64),
+            source_frame: sources[edge],
+            target_frame: targets[edge],
+            reprojected: &at[edge],
+            last_target: &last[edge],
+        })
+        .collect();
+    for update in ["upd", "upd2"] {
+        let mut fields = vec![(vec![0.0; 2 * CELLS], vec![0.0; 2 * CELLS]); queries.len()];
+        let mut answers: Vec<EdgeAnswer<'_>> = fields
+            .iter_mut()
+            .map(|(at, weight)| EdgeAnswer { at, weight })
+            .collect();
+        operator.update(&queries, &mut answers).unwrap();
+        let changes = planar(&droid.golden.f32(&format!("{update}/delta")));
+        let weights = planar(&droid.golden.f32(&format!("{update}/weight")));
+        for (edge, (found, weight)) in fields.iter().enumerate() {
+            let expected: Vec<f32> = at[edge]
+                .iter()
+                .zip(field(&changes, edge))
+                .map(|(a, b)| a + b)
+                .collect();
+            assert!(farthest(found, &expected) < DROID, "{update}");
+            assert!(farthest(weight, &field(&weights, edge)) < DROID, "{update}");
+        }
+        if update == "upd" {
+            let expected = droid.golden.f32("upd/eta");
+            let mut damping = vec![0.0; CELLS];
+            for source in 0..3 {
+                operator.depth_damping(source, &mut damping).unwrap();
+                assert!(farthest(&damping, &expected[source * CELLS..][..CELLS]) < DROID);
+            }
+        }
+    }
+}
+
+/// WorldScore's tracker over the real operator: the whole path, with all quirks and 16-bit storage, gives a
+/// score, and the same one again.
+#[test]
+fn the_reference_tracker_runs_on_the_droid_operator() {
+    let score = || {
+        let droid = droid()?;
+        let operator = DroidOperator::new(droid.networks, DroidOperatorParams::default());
+        let camera = Pinhole {
+            fx: 20.0,
+            fy: 20.0,
+            cx: 9.0,
+            cy: 8.0,
+        };
+        let (rows, columns) = GRID;
+        let grid = Grid { rows, columns };
+        let mut tracker = ReferenceTracker::new(camera, grid, operator, ReferenceParams::default());
+        for (frame, picture) in droid.frames.iter().enumerate() {
+            if tracker.operator_mut().offer(frame, picture).unwrap() {
+                tracker.push(frame).unwrap();
+            }
+        }
+        tracker.finish().unwrap().mean_cells
+    };
+    let Some(first) = score() else {
+        return;
+    };
+    println!("mean error of seeded weights: {first} cells");
+    assert!(first.is_finite() && first > 0.0);
+    assert_eq!(score().map(f64::to_bits), Some(first.to_bits()));
 }
 
 #[test]

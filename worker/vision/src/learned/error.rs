@@ -40,6 +40,12 @@ pub enum LearnedError {
         /// Width and height of the second frame.
         second: (usize, usize),
     },
+    /// A frame is asked for that was never shown, or is no keyframe.
+    #[error("frame {frame} is not a keyframe")]
+    UnknownFrame {
+        /// The frame's index.
+        frame: usize,
+    },
     /// An array does not have the values its use asks for.
     #[error("{name} has {actual} values, {expected} are needed")]
     LengthMismatch {

@@ -8,6 +8,7 @@
 pub mod convex;
 pub mod correlation;
 pub mod droid;
+pub mod droid_operator;
 mod error;
 mod network;
 pub mod picture;
