@@ -1,11 +1,12 @@
 """DROID-SLAM's networks as ONNX graphs: our own definition.
 
-Five graphs; correlation, its look-up, motion filter and geometry are Plumbline's:
+Six graphs; correlation, its look-up, motion filter and geometry are Plumbline's:
 
 - `features`:  picture -> feature map at 1/8;
 - `context`:   picture -> hidden state and context at the first use of a frame;
-- `update`:    per edge: hidden state, context, correlation, motion -> hidden state, change of the
-  target, weight;
+- `gates`:     context -> its share of the update's gates, which no update changes: once per frame;
+- `update`:    per edge: hidden state, gates' share of the source, correlation, motion -> hidden state,
+  change of the target, weight;
 - `aggregate`: new hidden states and a matrix of averages over the edges of one source -> damping of
   its inverse depths, and what `upsample` takes;
 - `upsample`:  -> weights of the convex up-sampling of disparities.
@@ -83,20 +84,53 @@ def context(weights):
     return g
 
 
-def _gru(g, h, x):
-    """The gated unit with a global context: h' = (1 - z) h + z q."""
-    key, inner = "update.gru", HIDDEN + 320
+# The gated unit's inputs, in the order of its weights: hidden state, context, correlation, motion.
+INNER = HIDDEN + HIDDEN + 128 + 64
+CONTEXT_PART = slice(HIDDEN, 2 * HIDDEN)
 
-    def everywhere(name):
-        return g.conv(mean, f"{key}.{name}", HIDDEN, HIDDEN, 1)
 
+def _gate_weights(g, names, of_context):
+    """The 3x3 weights of gates, one after the other, for the context's channels or for all others."""
+    taken = []
+    for name in names:
+        whole = g.weights.take(f"update.gru.{name}.weight", (HIDDEN, INNER, 3, 3))
+        taken.append(whole[:, CONTEXT_PART] if of_context else np.delete(whole, CONTEXT_PART, axis=1))
+    part = "context" if of_context else "rest"
+    return g.constant(f"update.gru.{'+'.join(names)}.{part}", np.concatenate(taken))
+
+
+def _conv(g, x, weight, *bias, kernel=3):
+    return g.node("Conv", [x, weight, *bias], kernel_shape=[kernel] * 2, pads=[kernel // 2] * 4)
+
+
+def gates(weights):
+    """The context's share of the gated unit: it is the same in every update of every edge of a source."""
+    g = Graph("gates", weights)
+    held = g.input("context", ["pictures", HIDDEN, ROWS, COLUMNS])
+    names = ("convz", "convr", "convq")
+    bias = np.concatenate([g.weights.take(f"update.gru.{name}.bias", (HIDDEN,)) for name in names])
+    x = _conv(g, held, _gate_weights(g, names, of_context=True), g.constant("update.gru.bias", bias))
+    g.output("gates", x, ["pictures", 3 * HIDDEN, ROWS, COLUMNS])
+    return g
+
+
+def _gru(g, h, of_context, x):
+    """The gated unit with a global context: h' = (1 - z) h + z q. `of_context` is what `gates` gives."""
+    key = "update.gru"
     gate = g.sigmoid(g.conv(h, f"{key}.w", HIDDEN, HIDDEN, 1))
     mean = g.node("GlobalAveragePool", [g.mul(gate, h)])
-    hx = g.concat(h, x)
-    z = g.sigmoid(g.add(g.conv(hx, f"{key}.convz", inner, HIDDEN, 3), everywhere("convz_glo")))
-    r = g.sigmoid(g.add(g.conv(hx, f"{key}.convr", inner, HIDDEN, 3), everywhere("convr_glo")))
-    rhx = g.concat(g.mul(r, h), x)
-    q = g.tanh(g.add(g.conv(rhx, f"{key}.convq", inner, HIDDEN, 3), everywhere("convq_glo")))
+
+    def gated(inputs, names, first):
+        """What enters the gates of these names, of which `first` stand before in `gates`."""
+        everywhere = [g.conv(mean, f"{key}.{name}_glo", HIDDEN, HIDDEN, 1) for name in names]
+        everywhere = g.concat(*everywhere) if len(names) > 1 else everywhere[0]
+        own = g.channels(of_context, first * HIDDEN, (first + len(names)) * HIDDEN)
+        x = _conv(g, inputs, _gate_weights(g, names, of_context=False))
+        return g.add(g.add(x, own), everywhere)
+
+    zr = g.sigmoid(gated(g.concat(h, x), ("convz", "convr"), 0))
+    z, r = g.channels(zr, 0, HIDDEN), g.channels(zr, HIDDEN, 2 * HIDDEN)
+    q = g.tanh(gated(g.concat(g.mul(r, h), x), ("convq",), 2))
     one = g.constant("one", np.array(1.0, np.float32))
     return g.add(g.mul(g.node("Sub", [one, z]), h), g.mul(z, q))
 
@@ -109,14 +143,14 @@ def _head(g, net, key):
 def update(weights):
     g = Graph("update", weights)
     net = g.input("net", [EDGES, HIDDEN, ROWS, COLUMNS])
-    held = g.input("context", [EDGES, HIDDEN, ROWS, COLUMNS])
+    of_context = g.input("gates", [EDGES, 3 * HIDDEN, ROWS, COLUMNS])
     correlation = g.input("correlation", [EDGES, CORRELATIONS, ROWS, COLUMNS])
     motion = g.input("motion", [EDGES, 4, ROWS, COLUMNS])
     c = g.relu(g.conv(correlation, "update.corr_encoder.0", CORRELATIONS, HIDDEN, 1))
     c = g.relu(g.conv(c, "update.corr_encoder.2", HIDDEN, HIDDEN, 3))
     f = g.relu(g.conv(motion, "update.flow_encoder.0", 4, HIDDEN, 7))
     f = g.relu(g.conv(f, "update.flow_encoder.2", HIDDEN, HIDDEN // 2, 3))
-    net = _gru(g, net, g.concat(held, c, f))
+    net = _gru(g, net, of_context, g.concat(c, f))
     g.output("next_net", net, [EDGES, HIDDEN, ROWS, COLUMNS])
     g.output("target_change", _head(g, net, "update.delta"), [EDGES, 2, ROWS, COLUMNS])
     g.output("weight", g.sigmoid(_head(g, net, "update.weight")), [EDGES, 2, ROWS, COLUMNS])
@@ -153,4 +187,4 @@ def upsample(weights):
 
 def graphs(weights):
     """All graphs; asks for every weight of the network."""
-    return [part(weights) for part in (features, context, update, aggregate, upsample)]
+    return [part(weights) for part in (features, context, gates, update, aggregate, upsample)]

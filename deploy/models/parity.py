@@ -182,7 +182,8 @@ def hold_droid(golden, out=None):
     at = golden["coords1"].transpose(0, 3, 1, 2)
     correlation = np.stack([_look_up(maps[i], maps[j], at[e], 3, 1 / 16) for e, (i, j) in enumerate(zip(ii, jj))])
     held.hold("correlation", correlation, golden["corr"], tolerance)
-    edges = {"context": raw["context"][ii], "correlation": correlation, "motion": golden["motn"]}
+    gates = runtime.run(sessions["gates"], context=raw["context"])["gates"]
+    edges = {"gates": gates[ii], "correlation": correlation, "motion": golden["motn"]}
     update = runtime.run(sessions["update"], net=raw["net"][ii], **edges)
     held.hold("update: hidden state", update["next_net"], golden["upd/net1"], tolerance)
     held.hold("update: change", update["target_change"].transpose(0, 2, 3, 1), golden["upd/delta"], tolerance)
@@ -202,7 +203,7 @@ def hold_droid(golden, out=None):
     correlation = _look_up(maps[0], maps[1], grid, 3, 1 / 16)[None]
     still = np.zeros_like(golden["motn"][:1])
     step = runtime.run(
-        sessions["update"], net=raw["net"][:1], context=raw["context"][:1], correlation=correlation, motion=still
+        sessions["update"], net=raw["net"][:1], gates=gates[:1], correlation=correlation, motion=still
     )
     held.hold("motion filter: correlation", correlation, golden["mf/corr"], tolerance)
     held.hold("motion filter: change", step["target_change"].transpose(0, 2, 3, 1), golden["mf/delta"], tolerance)

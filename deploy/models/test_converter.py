@@ -300,7 +300,7 @@ class Writing(Case):
         for rows, columns in ((4, 7), (16, 5)):
             edges = {
                 name: rng.uniform(-1, 1, (5, width, rows, columns)).astype(np.float32)
-                for name, width in (("net", 128), ("context", 128), ("correlation", 196), ("motion", 4))
+                for name, width in (("net", 128), ("gates", 384), ("correlation", 196), ("motion", 4))
             }
             together = runtime.run(update, **edges)
             for edge in range(5):

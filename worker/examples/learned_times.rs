@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use plumbline_vision::image::Rgb8;
-use plumbline_vision::learned::droid::{Edges, HIDDEN, MOTION, WINDOW};
+use plumbline_vision::learned::droid::{Edges, GATES, HIDDEN, MOTION, WINDOW};
 use plumbline_worker::learned::{ModelSet, Runtime, Threads};
 
 /// Stripes that move by three columns and one row a frame.
@@ -67,18 +67,31 @@ fn work(
         "droid-update" => {
             let (edges, rows, columns): (usize, _, _) = (size.parse()?, 48, 64);
             let part = |channels| ramp(edges * channels * rows * columns);
-            let (net, correlation, motion) =
-                (part(HIDDEN), part(WINDOW.channels()), part(MOTION));
+            let (net, correlation, motion) = (part(HIDDEN), part(WINDOW.channels()), part(MOTION));
+            // Once per frame, not part of an update. The twin's contexts differ from edge to edge.
+            let context =
+                |edge: usize| &net[edge * HIDDEN * rows * columns..][..HIDDEN * rows * columns];
+            let mut gates = Vec::with_capacity(edges * GATES * rows * columns);
+            for edge in 0..edges {
+                gates.extend(droid.gates(context(edge), (rows, columns))?);
+            }
             Box::new(move || {
                 let found = droid.update(Edges {
                     shape: (edges, rows, columns),
                     net: &net,
-                    context: &net,
+                    gates: &gates,
                     correlation: &correlation,
                     motion: &motion,
                 })?;
-                let parts = [(&found.net, 128.0), (&found.change, 2.0), (&found.weight, 2.0)];
-                let sum: f64 = parts.iter().map(|(values, width)| width * mean_size(values)).sum();
+                let parts = [
+                    (&found.net, 128.0),
+                    (&found.change, 2.0),
+                    (&found.weight, 2.0),
+                ];
+                let sum: f64 = parts
+                    .iter()
+                    .map(|(values, width)| width * mean_size(values))
+                    .sum();
                 Ok(sum / 132.0)
             })
         }

@@ -265,12 +265,19 @@ fn droid_updates_edges_twice_and_damps_their_sources() {
             .copied()
             .collect()
     };
-    let (net, context) = (of_sources(|c| &c.net), of_sources(|c| &c.context));
+    let net = of_sources(|c| &c.net);
+    let gates: Vec<f32> = sources
+        .iter()
+        .flat_map(|&i| {
+            let context = &droid.contexts[i].context;
+            droid.networks.gates(context, GRID).unwrap()
+        })
+        .collect();
     let shape = (sources.len(), rows, columns);
     let mut edges = Edges {
         shape,
         net: &net,
-        context: &context,
+        gates: &gates,
         correlation: &correlation,
         motion: &motion,
     };
@@ -420,7 +427,7 @@ fn droid_filters_motion() {
     let edges = Edges {
         shape: (1, rows, columns),
         net: &first.net,
-        context: &first.context,
+        gates: &droid.networks.gates(&first.context, GRID).unwrap(),
         correlation: &correlation,
         motion: &vec![0.0; 4 * CELLS],
     };

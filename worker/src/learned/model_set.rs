@@ -156,6 +156,7 @@ impl ModelSet {
         Ok(DroidNetworks {
             features: open("features")?,
             context: open("context")?,
+            gates: open("gates")?,
             update: open("update")?,
             aggregate: open("aggregate")?,
         })

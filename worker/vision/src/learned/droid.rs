@@ -11,6 +11,8 @@ use crate::image::Rgb8;
 
 /// Numbers per cell of a hidden state, a context, a feature map.
 pub const HIDDEN: usize = 128;
+/// Numbers per cell of a context's share of the update's gates.
+pub const GATES: usize = 3 * HIDDEN;
 /// Numbers per cell of an edge's motion.
 pub const MOTION: usize = 4;
 /// The correlation window: products are of features divided by 4 each.
@@ -29,6 +31,8 @@ pub struct DroidNetworks {
     pub features: Box<dyn Network>,
     /// Picture to hidden state and context.
     pub context: Box<dyn Network>,
+    /// Context to its share of the update's gates.
+    pub gates: Box<dyn Network>,
     /// One update of edges.
     pub update: Box<dyn Network>,
     /// Hidden states of edges to the damping of their sources.
@@ -51,8 +55,8 @@ pub struct Edges<'a> {
     pub shape: (usize, usize, usize),
     /// Hidden states.
     pub net: &'a [f32],
-    /// Contexts of the sources.
-    pub context: &'a [f32],
+    /// What [`DroidNetworks::gates`] gives of the sources' contexts.
+    pub gates: &'a [f32],
     /// Correlations.
     pub correlation: &'a [f32],
     /// Motions ([`motion`]).
@@ -132,6 +136,25 @@ impl DroidNetworks {
         Ok(FrameContext { net, context })
     }
 
+    /// A context's share of the update's gates, `[384, rows, columns]`: the same in every update of every
+    /// edge of a source, and a fifth of an update's work.
+    ///
+    /// # Errors
+    /// [`LearnedError`] where sizes do not fit or the network fails.
+    pub fn gates(
+        &mut self,
+        context: &[f32],
+        (rows, columns): (usize, usize),
+    ) -> Result<Vec<f32>, LearnedError> {
+        let [gates] = run(
+            &mut *self.gates,
+            "DROID gates",
+            &[("context", view(&[1, HIDDEN, rows, columns], context))],
+            [("gates", &[1, GATES, rows, columns])],
+        )?;
+        Ok(gates)
+    }
+
     /// One update of edges.
     ///
     /// # Errors
@@ -146,7 +169,7 @@ impl DroidNetworks {
             "DROID update",
             &[
                 ("net", view(&hidden, edges.net)),
-                ("context", view(&hidden, edges.context)),
+                ("gates", view(&shape(GATES), edges.gates)),
                 (
                     "correlation",
                     view(&shape(WINDOW.channels()), edges.correlation),

@@ -1,7 +1,7 @@
 //! DROID-SLAM as a correspondence operator: a motion filter that chooses keyframes, then, per edge, a
 //! hidden state that every update refines. For [`ReferenceTracker`](crate::slam::reference).
 //!
-//! Features and context are computed once per frame. An edge's state begins as its source's and is dropped
+//! Features, context and its share of the gates are computed once per frame. An edge's state begins as its source's and is dropped
 //! when the edge is no longer asked for. Edges go through the network in batches, each on its own, so that
 //! the size of a batch changes nothing but time and memory. Source: DROID-SLAM (Teed & Deng, 2021) as
 //! WorldScore runs it, its slip with the first keyframe included.
@@ -12,9 +12,7 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 
 use super::correlation::{FeatureMap, FeaturePyramid, look_up};
-use super::droid::{
-    DroidNetworks, Edges, FrameContext, HIDDEN, MOTION, WINDOW, mean_length, motion,
-};
+use super::droid::{DroidNetworks, Edges, GATES, HIDDEN, MOTION, WINDOW, mean_length, motion};
 use super::error::{LearnedError, check_length};
 use crate::image::Rgb8;
 use crate::slam::operator::{CorrespondenceOperator, EdgeAnswer, EdgeId, EdgeQuery};
@@ -24,7 +22,7 @@ use crate::slam::operator::{CorrespondenceOperator, EdgeAnswer, EdgeId, EdgeQuer
 pub struct DroidOperatorParams {
     /// A frame becomes a keyframe where its mean motion from the last one is above this, cells.
     pub keyframe_motion: f64,
-    /// Hidden states and contexts are kept as 16-bit floats, as upstream: half the memory.
+    /// Hidden states and what is made of contexts are kept as 16-bit floats, as upstream: half the memory.
     pub half_storage: bool,
     /// The first keyframe's hidden state and context are its first channel in all channels: upstream's
     /// slip, on which its scores rest.
@@ -44,7 +42,7 @@ impl Default for DroidOperatorParams {
     }
 }
 
-/// Numbers kept for later, `[128, rows, columns]`.
+/// Numbers kept for later, `[channels, rows, columns]`.
 #[derive(Debug, Clone)]
 enum Stored {
     Single(Vec<f32>),
@@ -73,7 +71,7 @@ impl Stored {
 struct Keyframe {
     features: FeaturePyramid,
     net: Stored,
-    context: Stored,
+    gates: Stored,
 }
 
 #[derive(Debug)]
@@ -86,7 +84,8 @@ struct EdgeState {
 #[derive(Debug)]
 struct Newest {
     frame: usize,
-    context: FrameContext,
+    net: Vec<f32>,
+    gates: Vec<f32>,
 }
 
 /// DROID-SLAM's networks with what they know of a video.
@@ -124,22 +123,30 @@ impl DroidOperator {
             return Ok(false);
         }
         let context = self.networks.context(picture)?;
-        let broadcast = is_first && self.params.broadcast_first;
-        let stored = |values: &[f32]| {
-            if broadcast {
-                let first = &values[..values.len() / HIDDEN];
-                Stored::new(&first.repeat(HIDDEN), self.params.half_storage)
-            } else {
-                Stored::new(values, self.params.half_storage)
+        let size = (features.rows, features.columns);
+        let gates = self.networks.gates(&context.context, size)?;
+        let half = self.params.half_storage;
+        let keyframe = if is_first && self.params.broadcast_first {
+            let first = |values: &[f32]| values[..values.len() / HIDDEN].repeat(HIDDEN);
+            let gates = self.networks.gates(&first(&context.context), size)?;
+            Keyframe {
+                features: FeaturePyramid::new(features),
+                net: Stored::new(&first(&context.net), half),
+                gates: Stored::new(&gates, half),
+            }
+        } else {
+            Keyframe {
+                features: FeaturePyramid::new(features),
+                net: Stored::new(&context.net, half),
+                gates: Stored::new(&gates, half),
             }
         };
-        let keyframe = Keyframe {
-            features: FeaturePyramid::new(features),
-            net: stored(&context.net),
-            context: stored(&context.context),
-        };
         self.keyframes.insert(frame, keyframe);
-        self.newest = Some(Newest { frame, context });
+        self.newest = Some(Newest {
+            frame,
+            net: context.net,
+            gates,
+        });
         Ok(true)
     }
 
@@ -166,8 +173,8 @@ impl DroidOperator {
         look_up(source, &target, &own, WINDOW, &mut correlation)?;
         let update = self.networks.update(Edges {
             shape: (1, rows, columns),
-            net: &newest.context.net,
-            context: &newest.context.context,
+            net: &newest.net,
+            gates: &newest.gates,
             correlation: &correlation,
             motion: &vec![0.0; MOTION * cells],
         })?;
@@ -189,18 +196,17 @@ impl DroidOperator {
         let (rows, columns) = (finest.rows, finest.columns);
         let cells = rows * columns;
         let zeros = |channels: usize| vec![0.0; queries.len() * channels * cells];
-        let (mut net, mut context) = (zeros(HIDDEN), zeros(HIDDEN));
+        let (mut net, mut gates) = (zeros(HIDDEN), zeros(GATES));
         let mut correlation = zeros(WINDOW.channels());
         let mut motions = Vec::with_capacity(queries.len() * MOTION * cells);
         for (index, query) in queries.iter().enumerate() {
             let source = keyframe(&self.keyframes, query.source_frame)?;
             let target = keyframe(&self.keyframes, query.target_frame)?;
-            let of_edge = index * HIDDEN * cells..(index + 1) * HIDDEN * cells;
             let state = self.edges.get(&query.id);
-            state
-                .map_or(&source.net, |s| &s.net)
-                .write(&mut net[of_edge.clone()]);
-            source.context.write(&mut context[of_edge]);
+            let of_edge = &mut net[index * HIDDEN * cells..][..HIDDEN * cells];
+            state.map_or(&source.net, |s| &s.net).write(of_edge);
+            let of_edge = &mut gates[index * GATES * cells..][..GATES * cells];
+            source.gates.write(of_edge);
             let taps = WINDOW.channels() * cells;
             look_up(
                 source.features.finest(),
@@ -218,7 +224,7 @@ impl DroidOperator {
         let update = self.networks.update(Edges {
             shape: (queries.len(), rows, columns),
             net: &net,
-            context: &context,
+            gates: &gates,
             correlation: &correlation,
             motion: &motions,
         })?;

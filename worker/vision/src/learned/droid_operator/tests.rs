@@ -50,8 +50,12 @@ fn operator(params: DroidOperatorParams) -> DroidOperator {
         let sign = if output == "net" { 1.0 } else { -1.0 };
         tensor((1, HIDDEN), |_, channel, _| sign * (level + channel as f32))
     };
+    let gates = |inputs: &[(&'static str, TensorView<'_>)], _: &str| {
+        let held = input(inputs, "context");
+        tensor((1, GATES), |_, c, cell| held[c / 3 * CELLS + cell])
+    };
     let update = |inputs: &[(&'static str, TensorView<'_>)], output: &str| {
-        let (net, held) = (input(inputs, "net"), input(inputs, "context"));
+        let (net, held) = (input(inputs, "net"), input(inputs, "gates"));
         let count = net.len() / (HIDDEN * CELLS);
         let last = |item: usize| (item * HIDDEN + HIDDEN - 1) * CELLS;
         match output {
@@ -59,7 +63,9 @@ fn operator(params: DroidOperatorParams) -> DroidOperator {
                 net[(i * HIDDEN + c) * CELLS + cell] + 1.0
             }),
             "target_change" => tensor((count, 2), |i, _, cell| net[last(i) + cell] / 1000.0),
-            _ => tensor((count, 2), |i, _, cell| held[last(i) + cell]),
+            _ => tensor((count, 2), |i, _, cell| {
+                held[(i * GATES + GATES - 1) * CELLS + cell]
+            }),
         }
     };
     let aggregate = |inputs: &[(&'static str, TensorView<'_>)], _: &str| {
@@ -75,6 +81,7 @@ fn operator(params: DroidOperatorParams) -> DroidOperator {
     let networks = DroidNetworks {
         features: Box::new(Formula(features)),
         context: Box::new(Formula(context)),
+        gates: Box::new(Formula(gates)),
         update: Box::new(Formula(update)),
         aggregate: Box::new(Formula(aggregate)),
     };
