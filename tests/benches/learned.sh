@@ -13,8 +13,8 @@ rounds=${1:-3}
 repeat=${2:-2}
 python=${TORCH_PYTHON:-python3}
 twin=tests/benches/learned_twin.py
-names=("sea-raft-m 256x256" "sea-raft-m 512x320" "droid-features 512x384" "droid-context 512x384"
-    "droid-update 1" "droid-update 8" "droid-update 32")
+names=("sea-raft-m 256x256" "sea-raft-m-clip 256x256" "sea-raft-m 512x320" "sea-raft-m-clip 512x320"
+    "droid-features 512x384" "droid-context 512x384" "droid-update 1" "droid-update 8" "droid-update 32")
 
 work=$(mktemp -d)
 trap 'rm -r "$work"' EXIT
@@ -44,7 +44,7 @@ result=tests/benches/results/learned-$(date +%F).md
     echo "- machine: $(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -n 1), $(nproc --all) cores, $(. /etc/os-release; echo "$PRETTY_NAME"), load at the end $(cut -d' ' -f1 /proc/loadavg)"
     echo "- commit $(git rev-parse --short HEAD)$(git diff --quiet HEAD -- worker deploy || echo ' with changes'), $(rustc --version), $(basename "$(readlink -f "$library")"); $("$python" "$twin" versions)"
     echo "- command: \`tests/benches/learned.sh $rounds $repeat\`${PROFILE+, built with PROFILE='$PROFILE'}; $rounds alternating rounds of $repeat calls after one to warm up; CPU seconds of one thread, least of all"
-    echo "- random weights, full width, the same on both sides; SEA-RAFT: one direction, four iterations, correlations and up-sampling included, in Rust on our side; DROID-SLAM: networks alone, updates without aggregation; the context's share of the gates, which PyTorch computes in every update, is computed once per frame by ours and not part of its updates (it costs a quarter of one)"
+    echo "- random weights, full width, the same on both sides; SEA-RAFT: one direction, four iterations, correlations and up-sampling included, in Rust on our side; \`clip\`: what one more frame of a clip costs, flow there and back, where WorldScore computes all features of both directions anew and ours computes a frame's features once; DROID-SLAM: networks alone, updates without aggregation; the context's share of the gates, which PyTorch computes in every update, is computed once per frame by ours and not part of its updates (it costs a quarter of one)"
     echo "- agreement: relative difference of the mean size of the outputs"
     echo
     echo "| network | ours, CPU s | PyTorch, CPU s | ratio | agreement |"

@@ -167,10 +167,12 @@ def ramp(*shape):
 def work(folder, name):
     """The network of a name as a call without arguments."""
     kind, size = name.split(" ")
-    if kind == "sea-raft-m":
+    if kind.startswith("sea-raft-m"):
         n = Net(f"{folder}/sea-raft-m.npz")
         width, height = map(int, size.split("x"))
         frames = [picture(height, width, frame) for frame in (0, 1)]
+        if kind == "sea-raft-m-clip":
+            return lambda: torch.cat((sea_raft(n, *frames), sea_raft(n, *frames[::-1])))
         return lambda: sea_raft(n, *frames)
     n = Net(f"{folder}/droid.npz")
     if kind == "droid-update":

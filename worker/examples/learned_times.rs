@@ -43,13 +43,26 @@ fn work(
     name: &str,
 ) -> anyhow::Result<Box<dyn FnMut() -> anyhow::Result<f64>>> {
     let (kind, size) = name.split_once(' ').context("NAME is a kind and a size")?;
-    if kind == "sea-raft-m" {
+    if kind.starts_with("sea-raft-m") {
         let set = ModelSet::read(&models.join("sea-raft-m"))?;
         let mut sea_raft = set.sea_raft(runtime, Threads::ONE)?;
         sea_raft.params_mut().half_resolution = false;
         let (width, height) = size.split_once('x').context("a size is WIDTHxHEIGHT")?;
         let (width, height) = (width.parse()?, height.parse()?);
         let frames = [picture(width, height, 0)?, picture(width, height, 1)?];
+        if kind == "sea-raft-m-clip" {
+            let mut last = sea_raft.prepare(&frames[0])?;
+            let mut turn = 0;
+            return Ok(Box::new(move || {
+                turn += 1;
+                let next = sea_raft.prepare(&frames[turn % 2])?;
+                let forward = sea_raft.flow(&last, &next)?;
+                let backward = sea_raft.flow(&next, &last)?;
+                last = next;
+                let sum = mean_size(&forward.network_flow) + mean_size(&backward.network_flow);
+                Ok(sum / 2.0)
+            }));
+        }
         return Ok(Box::new(move || {
             let first = sea_raft.prepare(&frames[0])?;
             let second = sea_raft.prepare(&frames[1])?;
