@@ -5,7 +5,7 @@
 #   cli       end-to-end tests of the built command
 #   parity    numbers of the reference implementations
 #   numerics  flow, geometry and statistics, with their extremes
-#   fleet     queues and object stores against real servers, which it installs and starts
+#   fleet     queues, object stores and a fleet under faults, against real servers, which it installs and starts
 # Without a name: all of them.
 . "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 
@@ -28,7 +28,7 @@ lint() {
 # run FILTER [WRAPPER]: the tests that a nextest filter names; the command under test is built first.
 run() {
     say "tests: $1"
-    cargo build --locked --bin plumbline
+    cargo build --locked --bin plumbline --bin plumbline-worker
     ${2:-} cargo nextest run --locked --workspace --no-fail-fast -E "$1"
 }
 
@@ -50,9 +50,9 @@ export_prototype() {
     touch "$out/done"
 }
 
-cli='package(plumbline-tests)'
+cli='package(plumbline-tests) and not binary(/^(campaign|fleet)$/)'
 parity='binary(/^parity/)'
-fleet='(package(plumbline-common) and binary(/^(queue|store|restart)$/)) or (package(plumbline-worker) and binary(=fleet))'
+fleet='(package(plumbline-common) and binary(/^(queue|store|restart)$/)) or binary(/^(campaign|fleet)$/)'
 servers=deploy/servers.sh
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in

@@ -28,6 +28,17 @@ pub enum Location {
     Object(ObjectLocation),
 }
 
+impl std::fmt::Display for Location {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::File(path) | Self::ImageSequence(path) => {
+                f.write_str(&String::from_utf8_lossy(path))
+            }
+            Self::Object(object) => object.fmt(f),
+        }
+    }
+}
+
 /// An object of an S3-compatible store, in the version that was listed. Which service is meant is the
 /// reader's configuration: coordinator and workers may reach it by different addresses.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -16,9 +16,11 @@ use plumbline_common::row::Status;
 use plumbline_vision::slam::intrinsics::Intrinsics;
 use serde::{Deserialize, Serialize};
 
+use crate::answers::EMBEDDED_WORKER;
 use crate::corpus::Entry;
 
-/// Records between two flushes to the disk: a power cut repeats at most this much work.
+/// Records between two flushes to the disk where nobody asks for one: a power cut repeats at most this
+/// much work.
 const RECORDS_PER_SYNC: u32 = 64;
 
 /// One measured video.
@@ -37,8 +39,15 @@ pub struct Record {
     pub intrinsics: Option<Intrinsics>,
     /// How often it was tried.
     pub attempts: u32,
+    /// Who measured it.
+    #[serde(default = "embedded")]
+    pub worker: String,
     /// What came of it.
     pub outcome: Outcome,
+}
+
+fn embedded() -> String {
+    EMBEDDED_WORKER.to_owned()
 }
 
 impl Record {
@@ -271,6 +280,7 @@ mod tests {
             profile_digest: "p".into(),
             intrinsics: None,
             attempts: 1,
+            worker: embedded(),
             outcome: Outcome {
                 video: entry.video,
                 measurement: Measurement::without_score(status, "why"),

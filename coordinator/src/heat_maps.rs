@@ -17,10 +17,11 @@ use plumbline_worker::profile::Profile;
 use crate::corpus::Entry;
 use crate::explain::HEAT_MAP_DIRECTORY;
 use crate::fanout::{Drawn, Fanout, Slots};
+use crate::measuring::job;
 use crate::picture;
 use crate::progress::say;
 use crate::publish::OutDir;
-use crate::run::{RunError, job};
+use crate::run::RunError;
 
 /// Characters of a video's name in a file's name.
 const SLUG_CHARS: usize = 60;
@@ -156,7 +157,7 @@ fn file_name(row: &Row, (subject, frame): (Subject, u32)) -> String {
 }
 
 /// Whether a name in the directory is one that [`file_name`] gives.
-fn is_ours(name: &str) -> bool {
+pub(crate) fn is_ours(name: &str) -> bool {
     let digest = name
         .strip_suffix(".png")
         .and_then(|stem| Some(stem.rsplit_once('-')?.1));

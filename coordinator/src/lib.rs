@@ -1,21 +1,27 @@
 //! Plumbline's coordinator: freezes a corpus, hands out jobs, collects rows, reduces, publishes.
 
+mod answers;
 pub mod cli;
 pub mod collect;
 pub mod corpus;
 pub mod evaluate;
 pub mod explain;
 pub mod fanout;
+pub mod fleet;
 mod heat_maps;
 pub mod judge;
+mod keep;
 mod lease;
+mod measuring;
 mod npz;
+mod parts;
 pub mod picture;
 pub mod progress;
 pub mod publish;
 pub mod reduce;
 pub mod reduce_files;
 pub mod reference;
+mod remote_out;
 pub mod report;
 pub mod run;
 pub mod sample;

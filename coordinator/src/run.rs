@@ -4,26 +4,36 @@
 //! that it is there exactly when everything else is.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
-use plumbline_common::id::VideoId;
-use plumbline_common::message::Job;
+use plumbline_common::id::{NotARunId, RunId, VideoId};
+use plumbline_common::message::MessageError;
+use plumbline_common::queue::QueueError;
 use plumbline_common::row::{Measurement, Status};
-use plumbline_worker::child::{Measured, SlotError};
+use plumbline_common::store::StoreError;
+use plumbline_worker::child::SlotError;
 use plumbline_worker::profile::Profile;
 
-use crate::collect::{Journal, JournalError, Record};
+use crate::answers::Answers;
+use crate::collect::{Journal, JournalError};
 use crate::corpus::{self, CorpusError, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
+use crate::fleet::{self, FleetOptions, FleetRun, Questions};
 use crate::heat_maps::{self, HeatMaps};
+use crate::keep::Keep;
 use crate::lease::Lease;
+use crate::measuring::{self, job};
+use crate::parts::{self, Parts};
 use crate::picture::PngError;
-use crate::progress::{Progress, say};
+use crate::progress::say;
+use crate::publish::encode::EncodeError;
 use crate::publish::{
     self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError,
 };
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
+use crate::remote_out::RemoteOut;
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
 use crate::stop::StopSignals;
 use crate::thresholds::FaultCalibration;
@@ -34,8 +44,8 @@ pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 /// The frozen list of videos, below [`STATE_DIRECTORY`].
 pub(crate) const FROZEN_FILE: &str = "corpus.jsonl";
 
-/// Who measured, in `costs.*`, when no fleet is involved.
-const EMBEDDED_WORKER: &str = "embedded";
+/// What the run is called on a fleet, beside it.
+const RUN_FILE: &str = "run";
 
 /// A usable `plumbline score`.
 #[derive(Debug, Clone)]
@@ -58,28 +68,42 @@ pub struct ScoreOptions {
     pub fault_calibration: Option<FaultCalibration>,
     /// How many of the most anomalous videos get a heat map.
     pub heat_maps: usize,
-    /// Who computes.
+    /// Who computes here.
     pub slots: Slots,
+    /// Who measures instead, where a fleet does.
+    pub fleet: Option<FleetOptions>,
 }
 
 impl ScoreOptions {
+    /// What the run is called on a fleet, if one measures it.
+    fn run_on_fleet(&self, entries: &[Entry]) -> Result<Option<RunId>, NotARunId> {
+        let digest = &self.reduce.profile_digest;
+        let name = |fleet: &FleetOptions| fleet::run_name(fleet.name.as_deref(), entries, digest);
+        self.fleet.as_ref().map(name).transpose()
+    }
+
     /// The options that a reader of the report may ask for.
     fn told(&self) -> Vec<(String, String)> {
         let group_by = self
             .group_by
             .as_ref()
             .map_or("none".to_owned(), GroupBy::to_string);
-        vec![
-            ("group by".to_owned(), group_by),
-            (
+        let mut told = vec![("group by".to_owned(), group_by)];
+        if self.fleet.is_some() {
+            let theirs = "a fleet, each worker within limits of its own".to_owned();
+            told.push(("measured by".to_owned(), theirs));
+        } else {
+            let limits = &self.slots.limits;
+            told.push((
                 "deadline per video".to_owned(),
-                format!("{} s", self.slots.limits.deadline_s),
-            ),
-            (
+                format!("{} s", limits.deadline_s),
+            ));
+            told.push((
                 "memory per compute process".to_owned(),
-                format!("{} MiB", self.slots.limits.memory_mib),
-            ),
-        ]
+                format!("{} MiB", limits.memory_mib),
+            ));
+        }
+        told
     }
 }
 
@@ -88,6 +112,8 @@ impl ScoreOptions {
 pub struct Finished {
     /// Where it is.
     pub out: PathBuf,
+    /// What it was called on a fleet.
+    pub run: Option<RunId>,
     /// What was published.
     pub files: Vec<String>,
     /// Rows, statistics and rewards.
@@ -144,6 +170,53 @@ pub enum RunError {
     /// No compute process can be started.
     #[error(transparent)]
     Slot(#[from] SlotError),
+    /// The broker does not do what it must.
+    #[error("{0}; what was measured is kept: run the same command again to go on")]
+    Queue(#[from] QueueError),
+    /// An OUT in an object store cannot be used.
+    #[error("{0}; what was measured is kept: run the same command again to go on")]
+    Store(#[from] StoreError),
+    /// Rows cannot be made a part.
+    #[error("rows cannot be written as a part: {0}")]
+    Part(EncodeError),
+    /// What lies among the parts is none.
+    #[error("{part}: not a part of a run ({why}); remove it, its videos are measured again")]
+    PartUnreadable {
+        /// The object.
+        part: String,
+        /// Why.
+        why: String,
+    },
+    /// A job cannot be encoded.
+    #[error(transparent)]
+    Message(MessageError),
+    /// The run's name is none.
+    #[error("--run: {0}")]
+    Name(#[from] NotARunId),
+    /// Another coordinator has the run.
+    #[error(
+        "the run {run} has another coordinator; wait for it, or stop it and run the same command again (a machine that vanished is noticed within a minute)"
+    )]
+    RunInUse {
+        /// The run.
+        run: RunId,
+    },
+    /// Another coordinator took the run.
+    #[error(
+        "another coordinator took the run {run} while the broker was away; what was measured is kept: let one of them go on"
+    )]
+    LeaseLost {
+        /// The run.
+        run: RunId,
+    },
+    /// The results queue is gone.
+    #[error(
+        "the run {run} was cancelled, or its broker lost it; what was measured is kept: run the same command again to go on"
+    )]
+    Cancelled {
+        /// The run.
+        run: RunId,
+    },
     /// The slots ended before the jobs did, which only a defect of the program explains.
     #[error(
         "{missing} of {total} videos were not measured, since the program that measures them stopped; the others are kept: run the same command again, and report this if it comes back"
@@ -177,13 +250,28 @@ pub enum RunError {
 /// [`RunError`]; whatever was measured is kept and taken over by the next run.
 pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     let started = Instant::now();
-    let listing = corpus::freeze(&options.sources, options.group_by.as_ref(), &options.out)?;
+    let out = options.out.to_string_lossy();
+    let s3 = options.slots.fetcher.s3_options();
+    let group_by = options.group_by.as_ref();
+    let remote = RemoteOut::open(&out, s3).await?;
+    let listing = corpus::freeze_anywhere(&options.sources, group_by, &out, s3).await?;
     tell_ignored(&listing.ignored);
-    let entries = listing.entries;
+    let entries = Arc::new(listing.entries);
 
-    let workplace = Workplace::take(options)?;
+    let local_out = remote.as_ref().map_or(&*options.out, RemoteOut::staging);
+    let workplace = Workplace::take(local_out)?;
     write_frozen(&workplace.state, &entries)?;
-    let mut journal = workplace.journal(options, &entries)?;
+    let run = options.run_on_fleet(&entries)?;
+    if let Some(run) = &run {
+        let line = format!("{run}\n");
+        workplace.state.put_atomic(RUN_FILE, line.as_bytes())?;
+    }
+    let parts = match &remote {
+        None => None,
+        Some(remote) => Some(take_remote(remote, options, &entries, &workplace).await?),
+    };
+    let resume = options.resume || remote.is_some();
+    let journal = workplace.journal(options, resume, &entries)?;
     let measured_before = journal.len();
     if measured_before > 0 {
         say(&format!(
@@ -191,23 +279,98 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
             entries.len()
         ));
     }
+    let mut keep = Keep { journal, parts };
     let mut stop = StopSignals::listen();
-    let compute_s = measure_missing(options, &entries, &mut journal, &mut stop).await?;
-    journal.sync()?;
+    let interrupted = |keep: &Keep| RunError::Interrupted {
+        done: keep.journal.len(),
+        total: entries.len(),
+    };
+    let mut answers = tokio::select! {
+        answers = ask(options, &entries, &keep.journal, run.as_ref()) => answers?,
+        () = stop.recv() => return Err(interrupted(&keep)),
+    };
+    let collecting = measuring::collect(&mut *answers, options, &entries, &mut keep);
+    let collected = tokio::select! {
+        collected = collecting => collected,
+        () = stop.recv() => Err(interrupted(&keep)),
+    };
+    if collected.is_err() {
+        keep.flush().await?;
+    }
+    let compute_s = collected?;
 
-    let (done, total) = (journal.len(), entries.len());
+    let (done, total) = (keep.journal.len(), entries.len());
+    let finishing = async {
+        let out = workplace.out.clone();
+        let (reduced, files) = finish(options, entries, keep.journal, out).await?;
+        if let Some(remote) = &remote {
+            remote.upload(&files).await?;
+        }
+        answers.finished().await?;
+        Ok::<_, RunError>((reduced, files))
+    };
     let (reduced, files) = tokio::select! {
-        finished = finish(options, entries, journal, workplace.out.clone()) => finished?,
+        finished = finishing => finished?,
         () = stop.recv() => return Err(RunError::Interrupted { done, total }),
     };
     Ok(Finished {
         out: options.out.clone(),
+        run,
         files,
         measured_now: done - measured_before,
         reduced,
         elapsed_s: started.elapsed().as_secs_f64(),
         compute_s,
     })
+}
+
+/// What an earlier run left in an OUT in a store, as this machine's journal; the frozen list, put there.
+async fn take_remote(
+    remote: &RemoteOut,
+    options: &ScoreOptions,
+    entries: &[Entry],
+    workplace: &Workplace,
+) -> Result<Parts, RunError> {
+    let store = remote.store();
+    let digest = &options.reduce.profile_digest;
+    let name = options
+        .fleet
+        .as_ref()
+        .and_then(|fleet| fleet.name.as_deref());
+    let run = fleet::run_name(name, entries, digest)?;
+    remote.withdraw().await?;
+    parts::put_corpus(&**store, &run, entries).await?;
+    parts::restore(&**store, &workplace.journal_path(), options.resume).await?;
+    Ok(Parts::new(Arc::clone(store), &run))
+}
+
+/// Has every readable entry measured that the journal does not answer: here, or by the fleet.
+async fn ask(
+    options: &ScoreOptions,
+    entries: &Arc<Vec<Entry>>,
+    journal: &Journal,
+    run: Option<&RunId>,
+) -> Result<Box<dyn Answers>, RunError> {
+    let missing = measuring::missing(entries, journal);
+    let (Some(fleet), Some(run)) = (&options.fleet, run) else {
+        let jobs = missing.iter().filter_map(|&index| entries.get(index));
+        let jobs = jobs.filter_map(|entry| job(entry, &options.profile).transpose());
+        let jobs: Vec<_> = jobs.collect::<Result<_, _>>().map_err(RunError::Profile)?;
+        return Ok(Box::new(Fanout::start(jobs, &options.slots)));
+    };
+    say(&format!(
+        "run {run}: {} videos for the fleet",
+        missing.len()
+    ));
+    let questions = Questions {
+        entries: Arc::clone(entries),
+        missing,
+        profile: options.profile.clone(),
+        resume: options.resume,
+    };
+    Ok(Box::new(
+        FleetRun::start(fleet, run.clone(), questions).await?,
+    ))
 }
 
 /// OUT, held against other runs.
@@ -219,11 +382,11 @@ pub(crate) struct Workplace {
 
 impl Workplace {
     /// Takes it, and the mark of a finished run away.
-    pub(crate) fn take(options: &ScoreOptions) -> Result<Self, RunError> {
-        let out = OutDir::create(&options.out)?;
-        let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
+    pub(crate) fn take(root: &Path) -> Result<Self, RunError> {
+        let out = OutDir::create(root)?;
+        let state = OutDir::create(root.join(STATE_DIRECTORY))?;
         let lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse {
-            out: options.out.display().to_string(),
+            out: root.display().to_string(),
         })?;
         out.sweep_partials()?;
         out.remove(publish::CORPUS_FILE)?;
@@ -237,18 +400,22 @@ impl Workplace {
     pub(crate) fn journal(
         &self,
         options: &ScoreOptions,
+        resume: bool,
         entries: &[Entry],
     ) -> Result<Journal, JournalError> {
-        let path = self.state.root().join("journal");
         let digest = &options.reduce.profile_digest;
-        Journal::open(&path, options.resume, entries, digest)
+        Journal::open(&self.journal_path(), resume, entries, digest)
+    }
+
+    fn journal_path(&self) -> PathBuf {
+        self.state.root().join("journal")
     }
 }
 
 /// Reduces what is measured, draws heat maps where asked, and publishes.
 pub(crate) async fn finish(
     options: &ScoreOptions,
-    entries: Vec<Entry>,
+    entries: Arc<Vec<Entry>>,
     journal: Journal,
     out: OutDir,
 ) -> Result<(Reduced, Vec<String>), RunError> {
@@ -276,86 +443,6 @@ pub(crate) async fn finish(
     publishing.await.map_err(RunError::Finishing)?
 }
 
-/// Measures every readable entry that the journal does not answer; gives the compute time spent.
-async fn measure_missing(
-    options: &ScoreOptions,
-    entries: &[Entry],
-    journal: &mut Journal,
-    stop: &mut StopSignals,
-) -> Result<f64, RunError> {
-    let jobs: Vec<Job> = entries
-        .iter()
-        .filter(|entry| !journal.contains(&entry.video))
-        .filter_map(|entry| job(entry, &options.profile).transpose())
-        .collect::<Result<_, _>>()
-        .map_err(RunError::Profile)?;
-    let by_video: std::collections::HashMap<&VideoId, &Entry> =
-        entries.iter().map(|entry| (&entry.video, entry)).collect();
-    let total = journal.len() + jobs.len();
-    let mut progress = Progress::start(total as u64, journal.len() as u64);
-    let mut compute_s = 0.0;
-    let mut fanout = Fanout::start(jobs, &options.slots);
-    loop {
-        let measured = tokio::select! {
-            next = fanout.next() => match next {
-                Some(measured) => measured?,
-                None => break,
-            },
-            () = stop.recv() => {
-                progress.finish();
-                journal.sync()?;
-                return Err(RunError::Interrupted { done: journal.len(), total: entries.len() });
-            }
-        };
-        let Some(entry) = by_video.get(&measured.outcome.video) else {
-            continue;
-        };
-        progress.advance(measured.outcome.measurement.status == Status::Scored);
-        compute_s += measured.outcome.cost.total_s;
-        journal.append(&record(entry, measured, options))?;
-    }
-    progress.finish();
-    if journal.len() < total {
-        return Err(RunError::Unmeasured {
-            missing: total - journal.len(),
-            total: entries.len(),
-        });
-    }
-    Ok(compute_s)
-}
-
-/// What the journal keeps of an entry's measurement.
-pub(crate) fn record(entry: &Entry, measured: Measured, options: &ScoreOptions) -> Record {
-    Record {
-        location: entry.location.clone(),
-        bytes: entry.bytes,
-        modified_ns: entry.modified_ns,
-        profile_digest: options.reduce.profile_digest.clone(),
-        intrinsics: entry.intrinsics(),
-        attempts: measured.attempts,
-        outcome: measured.outcome,
-    }
-}
-
-/// The job of an entry, with its own camera where the list tells it; none where the file could not even
-/// be looked at.
-pub(crate) fn job(entry: &Entry, profile: &Profile) -> Result<Option<Job>, serde_json::Error> {
-    let (Some(bytes), Some(modified_ns)) = (entry.bytes, entry.modified_ns) else {
-        return Ok(None);
-    };
-    let profile = Profile {
-        intrinsics: entry.intrinsics().or(profile.intrinsics),
-        ..profile.clone()
-    };
-    Ok(Some(Job {
-        video: entry.video.clone(),
-        location: entry.location.clone(),
-        bytes,
-        modified_ns,
-        profile: profile.canonical()?,
-    }))
-}
-
 /// Every entry with its measurement, in the corpus' order, so that nothing is lost; and what each
 /// measurement cost.
 fn collected(
@@ -371,7 +458,7 @@ fn collected(
                     video: entry.video.clone(),
                     cost: record.outcome.cost,
                     attempts: record.attempts,
-                    worker: EMBEDDED_WORKER.to_owned(),
+                    worker: record.worker,
                 });
                 record.outcome.measurement
             }

@@ -79,7 +79,7 @@ pub async fn slam(options: &SlamOptions) -> Result<SlamResult, RunError> {
 async fn slam_into(options: &SlamOptions, claimed: &Claimed) -> Result<SlamResult, RunError> {
     let Claimed { entry, out, .. } = claimed;
     let mut slot = options.slots.slot();
-    let job = crate::run::job(entry, &options.profile).map_err(RunError::Profile)?;
+    let job = crate::measuring::job(entry, &options.profile).map_err(RunError::Profile)?;
     let outcome = match job {
         Some(job) => slot.track(&job).await?,
         None => {

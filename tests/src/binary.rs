@@ -1,6 +1,7 @@
-//! Where the built `plumbline` is. Cargo names binaries only to tests of their own package, so it is
-//! looked for beside the running test and built where it is absent or older than its sources. The
-//! environment variable `PLUMBLINE_TEST_BINARY` names another one (an installed one, say).
+//! Where the built commands are. Cargo names binaries only to tests of their own package, so they are
+//! looked for beside the running test and built where they are absent or older than their sources. The
+//! environment variables `PLUMBLINE_TEST_BINARY` and `PLUMBLINE_TEST_WORKER_BINARY` name others (installed
+//! ones, say).
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -8,28 +9,46 @@ use std::process::Command;
 use std::sync::OnceLock;
 use std::time::SystemTime;
 
-const OVERRIDE: &str = "PLUMBLINE_TEST_BINARY";
-
-/// The binary of the profile that the running test was built with.
+/// The `plumbline` of the profile that the running test was built with.
 pub fn plumbline() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
     BINARY.get_or_init(|| {
-        if let Some(named) = std::env::var_os(OVERRIDE) {
-            return PathBuf::from(named);
-        }
-        // target/<profile>/deps/<test>
-        let test = std::env::current_exe().expect("the test has a path");
-        let profile_directory = test
-            .ancestors()
-            .nth(2)
-            .expect("tests lie in target/<profile>/deps");
-        let binary = profile_directory.join(format!("plumbline{}", std::env::consts::EXE_SUFFIX));
-        if !is_current(&binary) {
-            build(profile_directory);
-        }
-        assert!(binary.is_file(), "{} was not built", binary.display());
-        binary
+        find(
+            "plumbline",
+            "plumbline-coordinator",
+            "PLUMBLINE_TEST_BINARY",
+        )
     })
+}
+
+/// The `plumbline-worker` of the same.
+pub fn worker() -> &'static Path {
+    static BINARY: OnceLock<PathBuf> = OnceLock::new();
+    BINARY.get_or_init(|| {
+        find(
+            "plumbline-worker",
+            "plumbline-worker",
+            "PLUMBLINE_TEST_WORKER_BINARY",
+        )
+    })
+}
+
+fn find(name: &str, package: &str, variable: &str) -> PathBuf {
+    if let Some(named) = std::env::var_os(variable) {
+        return PathBuf::from(named);
+    }
+    // target/<profile>/deps/<test>
+    let test = std::env::current_exe().expect("the test has a path");
+    let profile_directory = test
+        .ancestors()
+        .nth(2)
+        .expect("tests lie in target/<profile>/deps");
+    let binary = profile_directory.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+    if !is_current(&binary) {
+        build(profile_directory, package, name);
+    }
+    assert!(binary.is_file(), "{} was not built", binary.display());
+    binary
 }
 
 /// Whether the binary is there and as new as every source that Cargo noted beside it.
@@ -51,25 +70,18 @@ fn modified(path: &Path) -> Option<SystemTime> {
     path.metadata().ok()?.modified().ok()
 }
 
-fn build(profile_directory: &Path) {
+fn build(profile_directory: &Path, package: &str, name: &str) {
     let profile = match profile_directory.file_name().and_then(OsStr::to_str) {
         Some("debug") | None => "dev",
         Some(name) => name,
     };
     let target = profile_directory.parent().expect("target/<profile>");
     let status = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .args([
-            "build",
-            "--quiet",
-            "--package",
-            "plumbline-coordinator",
-            "--bin",
-            "plumbline",
-        ])
+        .args(["build", "--quiet", "--package", package, "--bin", name])
         .args(["--profile", profile, "--target-dir"])
         .arg(target)
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .status()
         .expect("cargo starts");
-    assert!(status.success(), "plumbline does not build: {status}");
+    assert!(status.success(), "{name} does not build: {status}");
 }

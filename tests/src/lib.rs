@@ -1,8 +1,10 @@
 //! Plumbline: end-to-end tests over the built commands.
 //!
 //! The library is what the suites share: the built binary ([`binary`]), small clips ([`clips`]), runs
-//! with a deadline ([`run`]), what a run published ([`published`]), other processes ([`process`]). The
-//! suites are test binaries: `cli` runs the `plumbline` command. Everything here fails by panicking.
+//! with a deadline ([`run`]), what a run published ([`published`]), other processes ([`process`]), and for
+//! fleets real servers ([`servers`]) and what goes wrong on the way to them ([`proxy`], [`s3_faults`]). The
+//! suites are test binaries: `cli` runs the `plumbline` command, `campaign` a fleet under faults. Everything
+//! here fails by panicking.
 
 #![allow(
     clippy::unwrap_used,
@@ -13,7 +15,11 @@
 
 pub mod binary;
 pub mod clips;
+pub mod fleet;
 pub mod process;
+pub mod proxy;
 pub mod published;
 pub mod run;
+pub mod s3_faults;
+pub mod servers;
 pub mod stub_chat;

@@ -90,3 +90,17 @@ pub fn wait_until(what: &str, deadline: Duration, mut condition: impl FnMut() ->
         std::thread::sleep(INTERVAL);
     }
 }
+
+/// The living processes that have `marker` (`NAME=value`) in the environment they were started with.
+pub fn marked(marker: &str) -> Vec<i32> {
+    let all = std::fs::read_dir("/proc").expect("/proc is mounted");
+    let pids = all.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse::<i32>().ok());
+    pids.filter(|pid| {
+        let environment = std::fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
+        let is_marked = environment
+            .split(|byte| *byte == 0)
+            .any(|variable| variable == marker.as_bytes());
+        is_marked && stat(*pid).is_some_and(|stat| !matches!(stat.state, 'Z' | 'X'))
+    })
+    .collect()
+}

@@ -146,6 +146,19 @@ impl Published {
         self
     }
 
+    /// Fails unless the run is finished and its scores hold every one of `videos` exactly once.
+    #[track_caller]
+    pub fn expect_rows<S: AsRef<str>>(&self, videos: &[S]) -> &Self {
+        assert!(self.is_finished(), "no corpus.json");
+        let mut expected: Vec<&str> = videos.iter().map(AsRef::as_ref).collect();
+        expected.sort_unstable();
+        let rows = self.rows();
+        let mut found = names(&rows);
+        found.sort_unstable();
+        assert_eq!(found, expected, "scores.jsonl");
+        self
+    }
+
     #[track_caller]
     fn expect_manifests(&self, rows: &[Row]) {
         let mut listed = BTreeMap::new();

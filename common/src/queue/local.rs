@@ -4,7 +4,7 @@
 //! their retry included; publishing waits for room. Dead letters are bounded, too: the oldest go.
 
 use std::collections::{HashMap, HashSet, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
@@ -57,6 +57,7 @@ struct LocalQueue {
     /// `None` once the queue is deleted.
     ready: Mutex<Option<VecDeque<Stored>>>,
     arrived: Notify,
+    consumers: AtomicU64,
 }
 
 #[derive(Debug)]
@@ -133,6 +134,7 @@ impl LocalQueue {
             room: Arc::new(Semaphore::new(options.capacity)),
             ready: Mutex::new(Some(VecDeque::new())),
             arrived: Notify::new(),
+            consumers: AtomicU64::new(0),
         })
     }
 
@@ -186,10 +188,12 @@ impl Broker for LocalBroker {
     }
 
     async fn consume(&self, queue: &Queue, slots: u16) -> Result<Box<dyn Consumer>, QueueError> {
+        let queue = self.find(queue)?;
+        queue.consumers.fetch_add(1, Ordering::Relaxed);
         Ok(Box::new(LocalConsumer {
             work: Arc::new(InWork {
                 shared: Arc::clone(&self.shared),
-                queue: self.find(queue)?,
+                queue,
                 held: Mutex::default(),
             }),
             slots: Arc::new(Semaphore::new(usize::from(slots.max(1)))),
@@ -202,6 +206,10 @@ impl Broker for LocalBroker {
         let local = self.find(queue)?;
         let ready = lock(&local.ready).as_ref().map(VecDeque::len);
         ready.map(|n| n as u64).ok_or_else(|| missing(queue))
+    }
+
+    async fn consumers(&self, queue: &Queue) -> Result<u64, QueueError> {
+        Ok(self.find(queue)?.consumers.load(Ordering::Relaxed))
     }
 
     async fn delete(&self, run: &RunId) -> Result<(), QueueError> {
@@ -273,6 +281,7 @@ impl Consumer for LocalConsumer {
 
 impl Drop for LocalConsumer {
     fn drop(&mut self) {
+        self.work.queue.consumers.fetch_sub(1, Ordering::Relaxed);
         let held = std::mem::take(&mut *lock(&self.work.held));
         let mut held: Vec<_> = held.into_iter().collect();
         // The oldest ends up in front.

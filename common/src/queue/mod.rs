@@ -108,6 +108,12 @@ pub trait Broker: Debug + Send + Sync {
     /// [`QueueError::Missing`] where there is no such queue.
     async fn ready(&self, queue: &Queue) -> Result<u64, QueueError>;
 
+    /// Consumers of a queue, likewise: 0 of a queue of jobs means that no worker is there.
+    ///
+    /// # Errors
+    /// [`QueueError::Missing`] where there is no such queue.
+    async fn consumers(&self, queue: &Queue) -> Result<u64, QueueError>;
+
     /// Removes a run's results queue with what is in it; none there is none removed.
     ///
     /// # Errors

@@ -48,6 +48,7 @@ pub(crate) async fn keeps_the_contract(broker: &dyn Broker) {
     a_retry_comes_back_later_and_counted(broker).await;
     a_rejection_is_kept_with_its_reason(broker).await;
     a_message_that_ends_every_receiver_is_put_away(broker).await;
+    consumers_are_counted(broker).await;
     a_stopped_consumer_gets_no_more_and_settles_what_it_has(broker).await;
     a_run_has_a_results_queue_while_it_lasts(broker).await;
     a_retry_whose_queue_is_gone_is_not_lost(broker).await;
@@ -226,6 +227,33 @@ async fn a_message_that_ends_every_receiver_is_put_away(broker: &dyn Broker) {
     );
     letter.settle(Settlement::Done).await.unwrap();
     assert_eq!(broker.ready(&JOBS).await.unwrap(), 0);
+}
+
+async fn consumers_are_counted(broker: &dyn Broker) {
+    let queue = results("counted");
+    assert!(matches!(
+        broker.consumers(&queue).await,
+        Err(QueueError::Missing { .. })
+    ));
+    broker.declare(&queue).await.unwrap();
+    let started = Instant::now();
+    let until = async |wanted: u64| {
+        while broker.consumers(&queue).await.unwrap() != wanted {
+            assert!(started.elapsed() < DEADLINE, "never {wanted} consumers");
+        }
+    };
+    until(0).await;
+    let one = broker.consume(&queue, 1).await.unwrap();
+    let other = broker.consume(&queue, 1).await.unwrap();
+    until(2).await;
+    drop(one);
+    until(1).await;
+    drop(other);
+    until(0).await;
+    broker
+        .delete(&RunId::new("counted").unwrap())
+        .await
+        .unwrap();
 }
 
 async fn a_run_has_a_results_queue_while_it_lasts(broker: &dyn Broker) {

@@ -97,6 +97,12 @@ fn parse_intrinsics(text: &str) -> Result<Intrinsics, String> {
 }
 
 impl MeasuringArgs {
+    /// A limit of this machine that was typed.
+    pub(super) fn typed_limit(&self) -> Option<&'static str> {
+        let deadline = self.computing.deadline.map(|_| "--deadline");
+        deadline.or(self.computing.memory.map(|_| "--memory"))
+    }
+
     /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
     pub(super) fn usable(self, jobs: Option<u16>) -> Result<Measuring, Failure> {
         let mut measuring = self.computing.usable(jobs)?;

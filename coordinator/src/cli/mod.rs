@@ -2,9 +2,11 @@
 
 mod evaluate;
 mod explain;
+mod fleet;
 mod flow;
 mod judge;
 mod measuring;
+mod queue;
 mod reduce;
 mod reducing;
 mod reference;
@@ -19,6 +21,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use plumbline_common::queue::QueueError;
 use plumbline_common::telemetry::{self, LogFormat};
 
 /// Exit codes of every command (design, section 3).
@@ -51,6 +54,7 @@ enum Command {
     Score(Box<score::ScoreArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Explain(explain::ExplainArgs),
+    Fleet(fleet::FleetArgs),
     Flow(flow::FlowArgs),
     Judge(Box<judge::JudgeArgs>),
     Reference(reference::ReferenceArgs),
@@ -74,6 +78,7 @@ pub fn main() -> ExitCode {
         Command::Score(args) => score::run(*args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Explain(args) => explain::run(args),
+        Command::Fleet(args) => fleet::run(args),
         Command::Flow(args) => flow::run(&args),
         Command::Judge(args) => judge::run(*args),
         Command::Reference(args) => reference::run(args),
@@ -120,6 +125,21 @@ fn print_text(text: &str, out: &Path) -> Result<(), Failure> {
             out.display()
         ))
     })
+}
+
+/// A line of a result that is nowhere else.
+fn print_line(line: &str) -> Result<(), Failure> {
+    let written = writeln!(std::io::stdout(), "{line}");
+    written
+        .map_err(|error| Failure::stopped(format!("standard output cannot be written ({error})")))
+}
+
+/// A broker's error as a command's: an address can be mended, a broker may come back.
+fn queue_failure(error: QueueError) -> Failure {
+    match error {
+        QueueError::Address { .. } => Failure::usage(error),
+        _ => Failure::stopped(error),
+    }
 }
 
 /// How a command fails: the code and the line that says why.

@@ -5,21 +5,23 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
+use super::queue::QueueArgs;
 use super::reducing::ReducingArgs;
 use super::watching::WatchingArgs;
 use super::{Failure, exit, print_json, summary};
-use crate::corpus::GroupBy;
+use crate::corpus::{CorpusError, GroupBy};
 use crate::run::{self, RunError, ScoreOptions};
 use crate::watch;
 
 /// Scores every video of a source: scores, manifests, rewards and a report
 #[derive(Debug, Args)]
 pub(super) struct ScoreArgs {
-    /// Videos, directories (recursive), globs, or lists (.txt, .csv, .jsonl, .parquet with a column `video`)
+    /// Videos, directories (recursive), globs, s3://BUCKET/PREFIX, or lists (.txt, .csv, .jsonl, .parquet
+    /// with a column `video`)
     #[arg(required = true, value_name = "SOURCE")]
     sources: Vec<String>,
-    /// Directory for the results; a run that was stopped resumes from it
-    #[arg(long, value_name = "DIR")]
+    /// Directory or s3://BUCKET/PREFIX for the results; a run that was stopped resumes from it
+    #[arg(long, value_name = "OUT")]
     out: PathBuf,
     #[command(flatten)]
     measuring: MeasuringArgs,
@@ -43,6 +45,8 @@ pub(super) struct ScoreArgs {
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
+    fleet: QueueArgs,
+    #[command(flatten)]
     watching: WatchingArgs,
     /// Print the summary as JSON on standard output; with --watch, each row as a line when it is final
     #[arg(long)]
@@ -52,8 +56,13 @@ pub(super) struct ScoreArgs {
 pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
     let json = args.json;
     let watch = args.watching.usable(json)?;
-    let options = args.into_options()?;
+    args.check_fleet(watch.is_some())?;
     let runtime = super::runtime()?;
+    let fleet = runtime.block_on(args.fleet.usable())?;
+    let options = ScoreOptions {
+        fleet,
+        ..args.into_options()?
+    };
     let finished = runtime.block_on(async {
         match &watch {
             Some(watch) => watch::watch(&options, watch).await,
@@ -77,9 +86,14 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
         Err(error) => Err(Failure {
             code: match &error {
                 RunError::Interrupted { .. } => exit::INTERRUPTED,
-                RunError::Corpus(_) | RunError::OutInUse { .. } | RunError::Profile(_) => {
-                    exit::USAGE
+                RunError::Corpus(CorpusError::Store(error)) if error.is_transient() => {
+                    exit::STOPPED
                 }
+                RunError::Corpus(_)
+                | RunError::OutInUse { .. }
+                | RunError::RunInUse { .. }
+                | RunError::Name(_)
+                | RunError::Profile(_) => exit::USAGE,
                 _ => exit::STOPPED,
             },
             message: error.to_string(),
@@ -88,6 +102,30 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
 }
 
 impl ScoreArgs {
+    /// What a fleet does not do, or does by its own rules.
+    fn check_fleet(&self, watches: bool) -> Result<(), Failure> {
+        if watches && self.out.to_string_lossy().contains("://") {
+            return Err(Failure::usage(
+                "--watch writes to a directory: name one by --out",
+            ));
+        }
+        if !self.fleet.is_given() {
+            return Ok(());
+        }
+        if watches {
+            return Err(Failure::usage(
+                "--watch measures on this machine: leave out --queue",
+            ));
+        }
+        let jobs = self.jobs.map(|_| "--jobs");
+        match jobs.or(self.measuring.typed_limit()) {
+            Some(flag) => Err(Failure::usage(format!(
+                "{flag} is for videos measured on this machine; with --queue each worker has its own: give it to plumbline-worker"
+            ))),
+            None => Ok(()),
+        }
+    }
+
     /// From what was typed to what is usable.
     fn into_options(self) -> Result<ScoreOptions, Failure> {
         let Measuring { mut profile, slots } = self.measuring.usable(self.jobs)?;
@@ -104,6 +142,7 @@ impl ScoreArgs {
             fault_calibration,
             heat_maps: self.heatmaps,
             slots,
+            fleet: None,
         })
     }
 }

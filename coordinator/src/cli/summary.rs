@@ -157,6 +157,7 @@ pub(super) fn json(finished: &Finished) -> Value {
     let statistics = &finished.reduced.statistics;
     json!({
         "out": finished.out.to_string_lossy(),
+        "run": finished.run,
         "files": finished.files,
         "videos": finished.reduced.rows.len(),
         "measured_now": finished.measured_now,

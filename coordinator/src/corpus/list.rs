@@ -30,6 +30,11 @@ pub(super) fn is_list(path: &Path) -> bool {
     )
 }
 
+/// The video's name in the run.
+pub(super) fn name_of(written: &str) -> &str {
+    written.trim_start_matches("./")
+}
+
 /// Reads a list, in its order.
 ///
 /// # Errors

@@ -1,24 +1,28 @@
 //! The frozen corpus: every input video of a run, once, with its name, place, size and time.
 //!
-//! A source is a video, a directory (recursive), a glob or a list. Listing opens no video: what is
+//! A source is a video, a directory (recursive), a glob, an object or all below a prefix of an object
+//! store (`s3://`), or a list. Listing opens no video: what is
 //! wrong with one becomes its row, not an error of the run. What makes the *list* wrong (no such
 //! source, an unreadable directory, a duplicate name, an unknown column) is an error before any work.
 
 mod camera;
 mod group;
 mod list;
+mod objects;
 mod source;
 
 use std::collections::BTreeMap;
 
 use plumbline_common::id::VideoId;
 use plumbline_common::message::Location;
+use plumbline_common::store::StoreError;
 use plumbline_vision::slam::intrinsics::Intrinsics;
 use serde::{Deserialize, Serialize};
 
 pub use group::GroupBy;
 pub(crate) use list::{read as read_list, read_columns as read_list_columns};
-pub use source::{Listing, freeze};
+pub use objects::Buckets;
+pub use source::{Listing, freeze, freeze_anywhere};
 pub(crate) use source::{empty, looked_at_again};
 
 /// One input video as it was when the corpus was frozen.
@@ -50,12 +54,7 @@ impl Entry {
     /// Where its bytes are, for people: a path or the address of an object.
     #[must_use]
     pub fn address(&self) -> String {
-        match &self.location {
-            Location::File(path) | Location::ImageSequence(path) => {
-                String::from_utf8_lossy(path).into_owned()
-            }
-            Location::Object(object) => object.to_string(),
-        }
+        self.location.to_string()
     }
 }
 
@@ -68,14 +67,23 @@ pub enum CorpusError {
         /// As typed.
         source_text: String,
     },
-    /// An object store, which this command cannot read.
+    /// An object store, where a command reads files alone.
     #[error(
-        "{source_text}: object stores are read by the fleet, which this build does not contain; copy the videos to a directory"
+        "{source_text}: only `plumbline score` (without --watch) reads object stores; copy the videos to a directory"
     )]
     ObjectStore {
         /// As typed.
         source_text: String,
     },
+    /// An address of a kind that is not known.
+    #[error("{source_text}: not a file, and of object stores only s3://BUCKET/PREFIX is read")]
+    UnknownStore {
+        /// As typed.
+        source_text: String,
+    },
+    /// An object store cannot be listed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// Nothing to score.
     #[error(
         "{sources}: no video found; check the path (in directories, files named {extensions} and numbered images count; lists and patterns take any file)"

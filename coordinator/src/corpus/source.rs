@@ -13,6 +13,9 @@ use plumbline_worker::decode::{image_files, is_image_sequence};
 use serde_json::{Map, Value};
 use walkdir::{DirEntry, WalkDir};
 
+use super::objects::{
+    self, Address, Buckets, Looked, ObjectLine, ObjectLocationAndSize, OpenStores,
+};
 use super::{CorpusError, Entry, GroupBy, Ignored, camera, list};
 
 /// File names that are taken for videos while walking; what a file really is, its bytes say later.
@@ -33,36 +36,111 @@ struct Found {
     is_sequence: bool,
 }
 
-/// Freezes what the sources name. `out` is left out of every walk.
+/// Freezes what the sources name, files alone. `out` is left out of every walk.
 ///
 /// # Errors
-/// [`CorpusError`]: what makes the list wrong, before any work.
+/// [`CorpusError`]: what makes the list wrong, before any work; `ObjectStore` for a source or a listed
+/// video in an object store (see [`freeze_anywhere`]).
 pub fn freeze(
     sources: &[String],
     group_by: Option<&GroupBy>,
     out: &Path,
 ) -> Result<Listing, CorpusError> {
-    let out = std::fs::canonicalize(out).ok();
-    let mut ignored = Ignored::new();
-    let mut walked: Vec<(PathBuf, Vec<Found>)> = Vec::new();
-    let mut named: BTreeMap<VideoId, Entry> = BTreeMap::new();
+    let mut freezing = Freezing::without(out);
     for source in sources {
         if source.contains("://") {
             return Err(CorpusError::ObjectStore {
                 source_text: source.clone(),
             });
         }
+        freezing.look_at_files(source)?;
+    }
+    if let Some(line) = freezing.object_lines.first() {
+        return Err(CorpusError::ObjectStore {
+            source_text: line.address.to_string(),
+        });
+    }
+    freezing.finish(sources, group_by)
+}
+
+/// Freezes what the sources name, files and objects. `out`, a directory or an `s3://` address, is left
+/// out of every walk and listing.
+///
+/// # Errors
+/// [`CorpusError`]: what makes the list wrong, before any work.
+pub async fn freeze_anywhere(
+    sources: &[String],
+    group_by: Option<&GroupBy>,
+    out: &str,
+    buckets: &dyn Buckets,
+) -> Result<Listing, CorpusError> {
+    let mut freezing = Freezing::without(Path::new(out));
+    let mut stores = OpenStores::of(buckets);
+    for source in sources {
+        match (Address::parse(source), source.contains("://")) {
+            (Some(address), _) => match objects::look(&address, out, &mut stores).await? {
+                Looked::Objects(below) => {
+                    for (extension, count) in below.ignored {
+                        *freezing.ignored.entry(extension).or_default() += count;
+                    }
+                    freezing.listed.push((below.root, below.objects));
+                }
+                Looked::Lines(lines) => freezing.object_lines.extend(lines),
+            },
+            (None, true) => {
+                return Err(CorpusError::UnknownStore {
+                    source_text: source.clone(),
+                });
+            }
+            (None, false) => freezing.look_at_files(source)?,
+        }
+    }
+    let lines = std::mem::take(&mut freezing.object_lines);
+    for (line, entry) in objects::look_up(lines, &mut stores).await? {
+        freezing.add_line(&line.list, entry)?;
+    }
+    freezing.finish(sources, group_by)
+}
+
+/// What was found so far.
+struct Freezing {
+    out: Option<PathBuf>,
+    ignored: Ignored,
+    /// Files found in walks, and the directories walked.
+    walked: Vec<(PathBuf, Vec<Found>)>,
+    /// Objects found in listings, and the addresses listed.
+    listed: Vec<(Address, Vec<ObjectLocationAndSize>)>,
+    /// What lists name has its name already...
+    named: BTreeMap<VideoId, Entry>,
+    /// ...but objects were not looked up yet.
+    object_lines: Vec<ObjectLine>,
+}
+
+impl Freezing {
+    fn without(out: &Path) -> Self {
+        Self {
+            out: std::fs::canonicalize(out).ok(),
+            ignored: Ignored::new(),
+            walked: Vec::new(),
+            listed: Vec::new(),
+            named: BTreeMap::new(),
+            object_lines: Vec::new(),
+        }
+    }
+
+    fn look_at_files(&mut self, source: &str) -> Result<(), CorpusError> {
         let path = Path::new(source);
+        let out = self.out.as_deref();
         if path.is_dir() {
             let root = absolute(path);
-            let found = walk(&root, out.as_deref(), &mut ignored)?;
-            walked.push((root, found));
+            let found = walk(&root, out, &mut self.ignored)?;
+            self.walked.push((root, found));
         } else if path.is_file() && list::is_list(path) {
-            add_list(&absolute(path), &mut named)?;
+            self.add_list(&absolute(path))?;
         } else if path.symlink_metadata().is_ok() {
             let file = absolute(path);
             let root = file.parent().map(Path::to_path_buf).unwrap_or_default();
-            walked.push((
+            self.walked.push((
                 root,
                 vec![Found {
                     path: file,
@@ -70,28 +148,96 @@ pub fn freeze(
                 }],
             ));
         } else if source.contains(['*', '?', '[']) {
-            walked.push(expand_glob(source, out.as_deref())?);
+            self.walked.push(expand_glob(source, out)?);
         } else {
             return Err(CorpusError::NoSuchSource {
-                source_text: source.clone(),
+                source_text: source.to_owned(),
             });
         }
+        Ok(())
     }
-    let root = common_parent(walked.iter().map(|(root, _)| root.as_path()));
-    for found in walked.into_iter().flat_map(|(_, found)| found) {
-        let name = relative_name(&found.path, &root);
-        add(&mut named, name, found, Map::new())?;
-    }
-    if named.is_empty() {
-        return Err(empty(sources));
-    }
-    let mut entries: Vec<Entry> = named.into_values().collect();
-    if let Some(rule) = group_by {
-        for entry in &mut entries {
-            entry.group = rule.group(&entry.video, &entry.carried)?;
+
+    fn add_list(&mut self, path: &Path) -> Result<(), CorpusError> {
+        let directory = path.parent().unwrap_or(Path::new("."));
+        let list = path.display().to_string();
+        for line in list::read(path)? {
+            if let Some(address) = Address::parse(&line.video) {
+                self.object_lines.push(ObjectLine {
+                    list: list.clone(),
+                    name: line.video,
+                    address,
+                    carried: line.carried,
+                });
+                continue;
+            }
+            if line.video.contains("://") {
+                return Err(CorpusError::UnknownStore {
+                    source_text: line.video,
+                });
+            }
+            let file = directory.join(&line.video);
+            let is_sequence = file.is_dir();
+            let found = Found {
+                path: file,
+                is_sequence,
+            };
+            let name = list::name_of(&line.video);
+            let video = VideoId::new(name).map_err(|error| list_error(&list, error.to_string()))?;
+            self.add_line(&list, stat(video, found, line.carried))?;
         }
+        Ok(())
     }
-    Ok(Listing { entries, ignored })
+
+    /// A list names each video once and tells its camera rightly.
+    fn add_line(&mut self, list: &str, entry: Entry) -> Result<(), CorpusError> {
+        let name = &entry.video;
+        if self.named.contains_key(name) {
+            let reason = format!("{name} stands in the list twice: name each video once");
+            return Err(list_error(list, reason));
+        }
+        camera::intrinsics(&entry.carried)
+            .map_err(|reason| list_error(list, format!("{name}: {reason}")))?;
+        add(&mut self.named, entry)
+    }
+
+    fn finish(
+        mut self,
+        sources: &[String],
+        group_by: Option<&GroupBy>,
+    ) -> Result<Listing, CorpusError> {
+        let root = common_parent(self.walked.iter().map(|(root, _)| root.as_path()));
+        for found in self.walked.into_iter().flat_map(|(_, found)| found) {
+            let name = relative_name(&found.path, &root);
+            let video = VideoId::new(name).map_err(|error| {
+                list_error(&found.path.display().to_string(), error.to_string())
+            })?;
+            add(&mut self.named, stat(video, found, Map::new()))?;
+        }
+        let root = objects::common_parent(self.listed.iter().map(|(root, _)| root));
+        for object in self.listed.into_iter().flat_map(|(_, objects)| objects) {
+            add(&mut self.named, object.into_entry(&root)?)?;
+        }
+        if self.named.is_empty() {
+            return Err(empty(sources));
+        }
+        let mut entries: Vec<Entry> = self.named.into_values().collect();
+        if let Some(rule) = group_by {
+            for entry in &mut entries {
+                entry.group = rule.group(&entry.video, &entry.carried)?;
+            }
+        }
+        Ok(Listing {
+            entries,
+            ignored: self.ignored,
+        })
+    }
+}
+
+fn list_error(list: &str, reason: String) -> CorpusError {
+    CorpusError::List {
+        path: list.to_owned(),
+        reason,
+    }
 }
 
 /// What is said of sources without a video.
@@ -125,7 +271,7 @@ fn absolute(path: &Path) -> PathBuf {
         .unwrap_or_else(|_| path.to_path_buf())
 }
 
-fn is_video_name(path: &Path) -> bool {
+pub(super) fn is_video_name(path: &Path) -> bool {
     let extension = path
         .extension()
         .and_then(OsStr::to_str)
@@ -255,63 +401,18 @@ fn expand_glob(pattern: &str, out: Option<&Path>) -> Result<(PathBuf, Vec<Found>
     Ok((base, found))
 }
 
-fn add_list(path: &Path, named: &mut BTreeMap<VideoId, Entry>) -> Result<(), CorpusError> {
-    let directory = path.parent().unwrap_or(Path::new("."));
-    let lines = list::read(path)?;
-    for line in lines {
-        if line.video.contains("://") {
-            return Err(CorpusError::ObjectStore {
-                source_text: line.video,
-            });
-        }
-        let file = directory.join(&line.video);
-        let is_sequence = file.is_dir();
-        let name = line.video.trim_start_matches("./").to_owned();
-        if VideoId::new(name.as_str()).is_ok_and(|video| named.contains_key(&video)) {
-            return Err(CorpusError::List {
-                path: path.display().to_string(),
-                reason: format!("{name} stands in the list twice: name each video once"),
-            });
-        }
-        camera::intrinsics(&line.carried).map_err(|reason| CorpusError::List {
-            path: path.display().to_string(),
-            reason: format!("{name}: {reason}"),
-        })?;
-        add(
-            named,
-            name,
-            Found {
-                path: file,
-                is_sequence,
-            },
-            line.carried,
-        )?;
-    }
-    Ok(())
-}
-
-fn add(
-    named: &mut BTreeMap<VideoId, Entry>,
-    name: String,
-    found: Found,
-    carried: Map<String, Value>,
-) -> Result<(), CorpusError> {
-    let video = VideoId::new(name).map_err(|error| CorpusError::List {
-        path: found.path.display().to_string(),
-        reason: error.to_string(),
-    })?;
-    let entry = stat(video.clone(), found, carried);
-    if let Some(earlier) = named.get(&video) {
+fn add(named: &mut BTreeMap<VideoId, Entry>, entry: Entry) -> Result<(), CorpusError> {
+    if let Some(earlier) = named.get(&entry.video) {
         if earlier.location == entry.location {
             return Ok(());
         }
         return Err(CorpusError::Duplicate {
-            video: video.to_string(),
+            video: entry.video.to_string(),
             first: earlier.address(),
             second: entry.address(),
         });
     }
-    named.insert(video, entry);
+    named.insert(entry.video.clone(), entry);
     Ok(())
 }
 

@@ -217,7 +217,7 @@ async fn explain_into(
     out: &OutDir,
 ) -> Result<Explained, RunError> {
     let mut slot = options.slots.slot();
-    let job = crate::run::job(entry, &options.profile).map_err(RunError::Profile)?;
+    let job = crate::measuring::job(entry, &options.profile).map_err(RunError::Profile)?;
     let Detailed {
         outcome,
         times_s,

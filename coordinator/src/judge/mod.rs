@@ -27,9 +27,10 @@ use tokio::task::JoinSet;
 
 use crate::corpus::{self, CorpusError, Entry};
 use crate::fanout::{Fanout, Slots};
+use crate::measuring::job;
 use crate::progress::Progress;
 use crate::publish::{OutDir, PublishError};
-use crate::run::{job, unreadable};
+use crate::run::unreadable;
 use crate::stop::StopSignals;
 use cache::Cache;
 use chat::Chat;

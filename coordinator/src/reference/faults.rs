@@ -17,9 +17,10 @@ use plumbline_worker::profile::Profile;
 use super::file::{ReferenceError, directory_and_name};
 use crate::corpus::{self, CorpusError};
 use crate::fanout::{Detail, Fanout, Slots};
+use crate::measuring::job;
 use crate::progress::Progress;
 use crate::publish::{OutDir, PublishError};
-use crate::run::{job, unreadable};
+use crate::run::unreadable;
 use crate::stop::StopSignals;
 use crate::thresholds::{KindFit, ThresholdsError, ThresholdsFile};
 

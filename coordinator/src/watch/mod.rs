@@ -10,6 +10,7 @@ mod lines;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use plumbline_common::id::VideoId;
@@ -18,14 +19,16 @@ use plumbline_common::row::{Measurement, Status};
 use plumbline_worker::child::Measured;
 use tokio::time::MissedTickBehavior;
 
+use crate::answers::Answer;
 use crate::collect::Journal;
 use crate::corpus::{self, CorpusError, Entry};
 use crate::fanout::Fanout;
+use crate::measuring::{job, record};
 use crate::progress::say;
 use crate::reduce::reference::Reference;
 use crate::reduce::score_final;
 use crate::run::{
-    Finished, RunError, ScoreOptions, Workplace, finish, job, measured_video, record, write_frozen,
+    Finished, RunError, ScoreOptions, Workplace, finish, measured_video, write_frozen,
 };
 use crate::stop::StopSignals;
 use arrivals::Arrivals;
@@ -57,8 +60,8 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
         .clone()
         .ok_or(RunError::NoReference)?;
     let first = listing(options).await?;
-    let workplace = Workplace::take(options)?;
-    let journal = workplace.journal(options, &first)?;
+    let workplace = Workplace::take(&options.out)?;
+    let journal = workplace.journal(options, options.resume, &first)?;
     let known = first.iter().filter(|entry| journal.contains(&entry.video));
     let mut run = Watching {
         options,
@@ -90,11 +93,12 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
     write_frozen(&workplace.state, &entries)?;
     let (done, total) = (journal.len(), entries.len());
     let (reduced, files) = tokio::select! {
-        finished = finish(options, entries, journal, workplace.out.clone()) => finished?,
+        finished = finish(options, Arc::new(entries), journal, workplace.out.clone()) => finished?,
         () = stop.recv() => return Err(RunError::Interrupted { done, total }),
     };
     Ok(Finished {
         out: options.out.clone(),
+        run: None,
         files,
         reduced,
         measured_now,
@@ -246,8 +250,8 @@ impl Watching<'_> {
         self.measured_now += 1;
         self.compute_s += measured.outcome.cost.total_s;
         let measurement = measured.outcome.measurement.clone();
-        self.journal
-            .append(&record(&entry, measured, self.options))?;
+        let answer = Answer::embedded(measured);
+        self.journal.append(&record(&entry, answer, self.options))?;
         self.hand_on(&entry, measurement)
     }
 

@@ -97,6 +97,12 @@ impl Fetcher {
         }
     }
 
+    /// How stores are spoken to.
+    #[must_use]
+    pub fn s3_options(&self) -> &S3Options {
+        &self.shared.s3
+    }
+
     /// Reads the objects of `bucket` from `store` instead of S3: for tests.
     pub async fn put_store(&self, bucket: &str, store: Arc<dyn ObjectStore>) {
         let mut stores = self.shared.stores.lock().await;

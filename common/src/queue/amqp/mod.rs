@@ -193,6 +193,13 @@ impl AmqpBroker {
         }
     }
 
+    /// Messages that wait, and consumers.
+    async fn state(&self, queue: &Queue) -> Result<(u32, u32), QueueError> {
+        let name = &self.names().queue(queue);
+        let state = async |session: Arc<Session>| session.state(name).await;
+        self.retried(&queue.to_string(), state).await
+    }
+
     /// Publishes to a target, confirmed.
     async fn put(
         &self,
@@ -237,9 +244,11 @@ impl Broker for AmqpBroker {
     }
 
     async fn ready(&self, queue: &Queue) -> Result<u64, QueueError> {
-        let name = &self.names().queue(queue);
-        let count = async |session: Arc<Session>| session.ready(name).await;
-        Ok(self.retried(&queue.to_string(), count).await?.into())
+        Ok(self.state(queue).await?.0.into())
+    }
+
+    async fn consumers(&self, queue: &Queue) -> Result<u64, QueueError> {
+        Ok(self.state(queue).await?.1.into())
     }
 
     async fn delete(&self, run: &RunId) -> Result<(), QueueError> {

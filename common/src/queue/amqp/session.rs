@@ -60,7 +60,7 @@ impl Session {
         last: &str,
         declare: impl AsyncFnOnce(Channel) -> lapin::Result<()>,
     ) -> Result<(), Failure> {
-        let is_new = match self.ready(last).await {
+        let is_new = match self.state(last).await {
             Ok(_messages) => false,
             Err(Failure::Missing) => true,
             Err(failure) => return Err(failure),
@@ -72,14 +72,14 @@ impl Session {
         Ok(())
     }
 
-    /// Messages that wait in a queue.
-    pub(super) async fn ready(&self, queue: &str) -> Result<u32, Failure> {
+    /// Messages that wait in a queue, and its consumers.
+    pub(super) async fn state(&self, queue: &str) -> Result<(u32, u32), Failure> {
         let passive = QueueDeclareOptions::default().passive();
         let channel = self.channel().await?;
         let declared = channel
             .queue_declare(queue.into(), passive, FieldTable::default())
             .await?;
-        Ok(declared.message_count())
+        Ok((declared.message_count(), declared.consumer_count()))
     }
 
     pub(super) fn is_alive(&self) -> bool {

@@ -1,0 +1,17 @@
+//! The suite `fleet`: `plumbline-worker` and `plumbline score --queue` against a real broker and a real store.
+//!
+//! `score`: what the README says, from nothing to scores with two workers, and the same bytes as without a
+//! fleet; `resume`: a coordinator that is killed, and two for one run; `dead`: jobs that no worker gets done,
+//! and their second chance; `setup`: a fleet of its own for each test.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+mod dead;
+mod resume;
+mod score;
+mod setup;
