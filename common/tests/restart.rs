@@ -13,6 +13,44 @@ use support::queue_contract::{JOBS, next, numbered};
 use support::{DEADLINE, amqp_options, broker_script, server};
 use tokio::time::timeout;
 
+/// RabbitMQ takes every job of a channel back when one is not settled in time; it looks once a minute, unless
+/// told otherwise here.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_settlement_that_the_broker_did_not_wait_for_is_lost_and_the_consumer_goes_on() {
+    let set = |timeout_ms: &str, look_every_ms: &str| {
+        let program = format!(
+            "application:set_env(rabbit, consumer_timeout, {timeout_ms}), \
+             application:set_env(rabbit, channel_tick_interval, {look_every_ms})."
+        );
+        broker_script(&["ctl", "-q", "eval", &program]);
+    };
+    set("1000", "200");
+    let url = server("PLUMBLINE_TEST_AMQP_URL");
+    let broker = AmqpBroker::connect(&url, amqp_options("patience")).await;
+    let broker = broker.unwrap();
+    let mut consumer = broker.consume(&JOBS, 1).await.unwrap();
+    let pulse = consumer.pulse();
+    publish_all(&broker, &JOBS, numbered(1), 1).await.unwrap();
+    let slow = next(&mut consumer).await;
+    let waiting = std::time::Instant::now();
+    while pulse.is_alive() {
+        assert!(waiting.elapsed() < DEADLINE, "the broker waits");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    set("1800000", "60000");
+    let again = next(&mut consumer).await;
+    assert_eq!(again.message.id, slow.message.id);
+    assert_eq!(again.redeliveries, 1);
+    assert!(pulse.is_alive());
+    let too_late = slow.settle(Settlement::Done).await;
+    assert!(
+        matches!(too_late, Err(QueueError::Lost { .. })),
+        "{too_late:?}"
+    );
+    again.settle(Settlement::Done).await.unwrap();
+    assert_eq!(broker.ready(&JOBS).await.unwrap(), 0);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_broker_loses_nothing_and_slots_stay_bounded() {
     const MESSAGES: usize = 3000;

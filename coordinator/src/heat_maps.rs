@@ -157,7 +157,7 @@ fn file_name(row: &Row, (subject, frame): (Subject, u32)) -> String {
 }
 
 /// Whether a name in the directory is one that [`file_name`] gives.
-fn is_ours(name: &str) -> bool {
+pub(crate) fn is_ours(name: &str) -> bool {
     let digest = name
         .strip_suffix(".png")
         .and_then(|stem| Some(stem.rsplit_once('-')?.1));

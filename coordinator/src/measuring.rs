@@ -1,7 +1,5 @@
 //! Answers into the journal: what is to be measured, and what is kept of it.
 
-use std::time::Duration;
-
 use plumbline_common::message::Job;
 use plumbline_common::row::Status;
 use plumbline_worker::profile::Profile;
@@ -10,14 +8,9 @@ use tokio::time::{MissedTickBehavior, interval};
 use crate::answers::{Answer, Answers};
 use crate::collect::{Journal, Record};
 use crate::corpus::Entry;
+use crate::keep::Keep;
 use crate::progress::Progress;
 use crate::run::{RunError, ScoreOptions};
-
-/// Answers between two flushes to the disk at most: a crash repeats no more work than that...
-const ANSWERS_PER_FLUSH: usize = 64;
-
-/// ...and time between two, for slow answers: a fleet waits to hear that they are kept.
-const FLUSH_EVERY: Duration = Duration::from_millis(500);
 
 /// The readable entries that the journal does not answer, by index.
 pub(crate) fn missing(entries: &[Entry], journal: &Journal) -> Vec<usize> {
@@ -38,16 +31,18 @@ pub(crate) async fn collect(
     answers: &mut dyn Answers,
     options: &ScoreOptions,
     entries: &[Entry],
-    journal: &mut Journal,
+    keep: &mut Keep,
 ) -> Result<f64, RunError> {
-    let total = journal.len() + missing(entries, journal).len();
-    let mut progress = Progress::start(total as u64, journal.len() as u64);
-    let collected = take_all(answers, options, entries, journal, &mut progress).await;
+    let before = keep.journal.len();
+    let total = before + missing(entries, &keep.journal).len();
+    let mut progress = Progress::start(total as u64, before as u64);
+    let collected = take_all(answers, options, entries, keep, &mut progress).await;
     progress.finish();
     let compute_s = collected?;
-    if journal.len() < total {
+    let done = keep.journal.len();
+    if done < total {
         return Err(RunError::Unmeasured {
-            missing: total - journal.len(),
+            missing: total - done,
             total: entries.len(),
         });
     }
@@ -58,47 +53,49 @@ async fn take_all(
     answers: &mut dyn Answers,
     options: &ScoreOptions,
     entries: &[Entry],
-    journal: &mut Journal,
+    keep: &mut Keep,
     progress: &mut Progress,
 ) -> Result<f64, RunError> {
     let mut compute_s = 0.0;
-    let mut unkept = 0;
-    let mut ticks = interval(FLUSH_EVERY);
+    let mut unflushed = 0;
+    let flushing = keep.flushing();
+    let mut ticks = interval(flushing.every);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             answer = answers.next() => {
                 let Some(answer) = answer? else { break };
-                let video = &answer.outcome.video;
+                let outcome = &answer.outcome;
+                let video = &outcome.video;
                 let Ok(index) = entries.binary_search_by(|entry| entry.video.cmp(video)) else {
                     continue;
                 };
-                if !journal.contains(video) {
-                    progress.advance(answer.outcome.measurement.status == Status::Scored);
+                if !keep.journal.contains(video) {
+                    progress.advance(outcome.measurement.status == Status::Scored);
                 }
-                compute_s += answer.outcome.cost.total_s;
-                journal.append(&record(&entries[index], answer, options))?;
-                unkept += 1;
-                if unkept >= ANSWERS_PER_FLUSH {
-                    keep(answers, journal, &mut unkept).await?;
+                compute_s += outcome.cost.total_s;
+                keep.append(&record(&entries[index], answer, options))?;
+                unflushed += 1;
+                if unflushed >= flushing.answers {
+                    flush(answers, keep, &mut unflushed).await?;
                 }
             }
-            _ = ticks.tick() => keep(answers, journal, &mut unkept).await?,
+            _ = ticks.tick() => flush(answers, keep, &mut unflushed).await?,
         }
     }
-    keep(answers, journal, &mut unkept).await?;
+    flush(answers, keep, &mut unflushed).await?;
     Ok(compute_s)
 }
 
 /// First the rows, then the word that they are kept.
-async fn keep(
+async fn flush(
     answers: &mut dyn Answers,
-    journal: &mut Journal,
-    unkept: &mut usize,
+    keep: &mut Keep,
+    unflushed: &mut usize,
 ) -> Result<(), RunError> {
-    if *unkept > 0 {
-        journal.sync()?;
-        *unkept = 0;
+    if *unflushed > 0 {
+        keep.flush().await?;
+        *unflushed = 0;
     }
     answers.kept().await
 }

@@ -4,7 +4,7 @@
 //! that it is there exactly when everything else is.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -12,6 +12,7 @@ use plumbline_common::id::{NotARunId, RunId, VideoId};
 use plumbline_common::message::MessageError;
 use plumbline_common::queue::QueueError;
 use plumbline_common::row::{Measurement, Status};
+use plumbline_common::store::StoreError;
 use plumbline_worker::child::SlotError;
 use plumbline_worker::profile::Profile;
 
@@ -21,14 +22,18 @@ use crate::corpus::{self, CorpusError, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
 use crate::fleet::{self, FleetOptions, FleetRun, Questions};
 use crate::heat_maps::{self, HeatMaps};
+use crate::keep::Keep;
 use crate::lease::Lease;
 use crate::measuring::{self, job};
+use crate::parts::{self, Parts};
 use crate::picture::PngError;
 use crate::progress::say;
+use crate::publish::encode::EncodeError;
 use crate::publish::{
     self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication, PublishError,
 };
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
+use crate::remote_out::RemoteOut;
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
 use crate::stop::StopSignals;
 use crate::thresholds::FaultCalibration;
@@ -168,6 +173,20 @@ pub enum RunError {
     /// The broker does not do what it must.
     #[error("{0}; what was measured is kept: run the same command again to go on")]
     Queue(#[from] QueueError),
+    /// An OUT in an object store cannot be used.
+    #[error("{0}; what was measured is kept: run the same command again to go on")]
+    Store(#[from] StoreError),
+    /// Rows cannot be made a part.
+    #[error("rows cannot be written as a part: {0}")]
+    Part(EncodeError),
+    /// What lies among the parts is none.
+    #[error("{part}: not a part of a run ({why}); remove it, its videos are measured again")]
+    PartUnreadable {
+        /// The object.
+        part: String,
+        /// Why.
+        why: String,
+    },
     /// A job cannot be encoded.
     #[error(transparent)]
     Message(MessageError),
@@ -232,20 +251,27 @@ pub enum RunError {
 pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     let started = Instant::now();
     let out = options.out.to_string_lossy();
-    let buckets = options.slots.fetcher.s3_options();
+    let s3 = options.slots.fetcher.s3_options();
     let group_by = options.group_by.as_ref();
-    let listing = corpus::freeze_anywhere(&options.sources, group_by, &out, buckets).await?;
+    let remote = RemoteOut::open(&out, s3).await?;
+    let listing = corpus::freeze_anywhere(&options.sources, group_by, &out, s3).await?;
     tell_ignored(&listing.ignored);
-    let entries = listing.entries;
+    let entries = Arc::new(listing.entries);
 
-    let workplace = Workplace::take(options)?;
+    let local_out = remote.as_ref().map_or(&*options.out, RemoteOut::staging);
+    let workplace = Workplace::take(local_out)?;
     write_frozen(&workplace.state, &entries)?;
     let run = options.run_on_fleet(&entries)?;
     if let Some(run) = &run {
         let line = format!("{run}\n");
         workplace.state.put_atomic(RUN_FILE, line.as_bytes())?;
     }
-    let mut journal = workplace.journal(options, &entries)?;
+    let parts = match &remote {
+        None => None,
+        Some(remote) => Some(take_remote(remote, options, &entries, &workplace).await?),
+    };
+    let resume = options.resume || remote.is_some();
+    let journal = workplace.journal(options, resume, &entries)?;
     let measured_before = journal.len();
     if measured_before > 0 {
         say(&format!(
@@ -253,30 +279,35 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
             entries.len()
         ));
     }
+    let mut keep = Keep { journal, parts };
     let mut stop = StopSignals::listen();
-    let entries = Arc::new(entries);
-    let interrupted = |journal: &Journal| RunError::Interrupted {
-        done: journal.len(),
+    let interrupted = |keep: &Keep| RunError::Interrupted {
+        done: keep.journal.len(),
         total: entries.len(),
     };
     let mut answers = tokio::select! {
-        answers = ask(options, &entries, &journal, run.as_ref()) => answers?,
-        () = stop.recv() => return Err(interrupted(&journal)),
+        answers = ask(options, &entries, &keep.journal, run.as_ref()) => answers?,
+        () = stop.recv() => return Err(interrupted(&keep)),
     };
-    let measuring = measuring::collect(&mut *answers, options, &entries, &mut journal);
-    let compute_s = tokio::select! {
-        collected = measuring => collected?,
-        () = stop.recv() => {
-            journal.sync()?;
-            return Err(interrupted(&journal));
-        }
+    let collecting = measuring::collect(&mut *answers, options, &entries, &mut keep);
+    let collected = tokio::select! {
+        collected = collecting => collected,
+        () = stop.recv() => Err(interrupted(&keep)),
     };
+    if collected.is_err() {
+        keep.flush().await?;
+    }
+    let compute_s = collected?;
 
-    let (done, total) = (journal.len(), entries.len());
+    let (done, total) = (keep.journal.len(), entries.len());
     let finishing = async {
-        let published = finish(options, entries, journal, workplace.out.clone()).await?;
+        let out = workplace.out.clone();
+        let (reduced, files) = finish(options, entries, keep.journal, out).await?;
+        if let Some(remote) = &remote {
+            remote.upload(&files).await?;
+        }
         answers.finished().await?;
-        Ok::<_, RunError>(published)
+        Ok::<_, RunError>((reduced, files))
     };
     let (reduced, files) = tokio::select! {
         finished = finishing => finished?,
@@ -291,6 +322,26 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
         elapsed_s: started.elapsed().as_secs_f64(),
         compute_s,
     })
+}
+
+/// What an earlier run left in an OUT in a store, as this machine's journal; the frozen list, put there.
+async fn take_remote(
+    remote: &RemoteOut,
+    options: &ScoreOptions,
+    entries: &[Entry],
+    workplace: &Workplace,
+) -> Result<Parts, RunError> {
+    let store = remote.store();
+    let digest = &options.reduce.profile_digest;
+    let name = options
+        .fleet
+        .as_ref()
+        .and_then(|fleet| fleet.name.as_deref());
+    let run = fleet::run_name(name, entries, digest)?;
+    remote.withdraw().await?;
+    parts::put_corpus(&**store, &run, entries).await?;
+    parts::restore(&**store, &workplace.journal_path(), options.resume).await?;
+    Ok(Parts::new(Arc::clone(store), &run))
 }
 
 /// Has every readable entry measured that the journal does not answer: here, or by the fleet.
@@ -331,11 +382,11 @@ pub(crate) struct Workplace {
 
 impl Workplace {
     /// Takes it, and the mark of a finished run away.
-    pub(crate) fn take(options: &ScoreOptions) -> Result<Self, RunError> {
-        let out = OutDir::create(&options.out)?;
-        let state = OutDir::create(options.out.join(STATE_DIRECTORY))?;
+    pub(crate) fn take(root: &Path) -> Result<Self, RunError> {
+        let out = OutDir::create(root)?;
+        let state = OutDir::create(root.join(STATE_DIRECTORY))?;
         let lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse {
-            out: options.out.display().to_string(),
+            out: root.display().to_string(),
         })?;
         out.sweep_partials()?;
         out.remove(publish::CORPUS_FILE)?;
@@ -349,11 +400,15 @@ impl Workplace {
     pub(crate) fn journal(
         &self,
         options: &ScoreOptions,
+        resume: bool,
         entries: &[Entry],
     ) -> Result<Journal, JournalError> {
-        let path = self.state.root().join("journal");
         let digest = &options.reduce.profile_digest;
-        Journal::open(&path, options.resume, entries, digest)
+        Journal::open(&self.journal_path(), resume, entries, digest)
+    }
+
+    fn journal_path(&self) -> PathBuf {
+        self.state.root().join("journal")
     }
 }
 

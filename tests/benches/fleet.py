@@ -86,7 +86,7 @@ def score(prefix, workers, *words):
     run = f"bench-{os.getpid()}-{next(RUNS)}"
     out = WORK / run
     journal = out / ".plumbline" / "journal"
-    command = [PLUMBLINE, "score", f"s3://{BUCKET}/{prefix}", "--out", out, "--queue", URL, "--run", run, *words]
+    command = [PLUMBLINE, "score", f"s3://{BUCKET}/{prefix}/", "--out", out, "--queue", URL, "--run", run, *words]
     log = open(WORK / f"{run}.log", "wb")
     before = (workers.cpu_s(), cpu_s(BROKER_PID))
     started = time.monotonic()

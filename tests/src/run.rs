@@ -150,13 +150,18 @@ impl Started {
     }
 
     /// Waits for its end.
-    pub fn wait(mut self) -> Ended {
+    pub fn wait(self) -> Ended {
+        self.wait_within(DEADLINE)
+    }
+
+    /// Waits for its end, where that may take longer.
+    pub fn wait_within(mut self, deadline: Duration) -> Ended {
         let started = Instant::now();
         while self.is_running() {
-            if started.elapsed() > DEADLINE {
+            if started.elapsed() > deadline {
                 let _gone = self.child.kill();
                 panic!(
-                    "no end within {DEADLINE:?}; standard error:\n{}",
+                    "no end within {deadline:?}; standard error:\n{}",
                     all_of(&mut self.stderr)
                 );
             }

@@ -1,5 +1,11 @@
 //! Videos in an object store are measured as if they were files.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "what does not work fails the test"
+)]
+
 #[cfg(test)]
 mod support;
 
@@ -126,7 +132,7 @@ async fn every_question_to_a_child_works_on_an_object() {
             panic!("{reason} {of_file:?}");
         }
         (SlamOutcome::Tracked(a), SlamOutcome::Tracked(b)) => {
-            assert_eq!(a.residual_px, b.residual_px)
+            assert_eq!(a.residual_px, b.residual_px);
         }
         (_, SlamOutcome::Refused { reason, .. }) => panic!("{reason}"),
     }

@@ -1,5 +1,13 @@
 //! The built worker against a real broker and a real object store; run by deploy/test.sh fleet.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::expect_used,
+    reason = "what does not work fails the test"
+)]
+
 #[cfg(test)]
 mod support;
 
@@ -327,6 +335,29 @@ async fn a_lost_connection_is_seen_and_mended_and_costs_no_second_answer() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_deleted_queue_of_jobs_is_made_again() {
+    let place = Place::new("deleted").await;
+    let worker = place.worker(&["--no-op"]);
+    worker.wait_for("/readyz", 200);
+    let url = server("PLUMBLINE_TEST_AMQP_URL");
+    let connection = lapin::Connection::connect(&url, lapin::ConnectionProperties::default());
+    let channel = connection.await.unwrap().create_channel().await.unwrap();
+    let queue = format!("{}.{JOBS}", place.namespace);
+    let options = lapin::options::QueueDeleteOptions::default();
+    channel.queue_delete(queue.into(), options).await.unwrap();
+    worker.wait(|| {
+        let lines = worker.logged();
+        lines
+            .iter()
+            .any(|line| line.to_string().contains("made again"))
+    });
+    worker.wait_for("/readyz", 200);
+    place.run.ask(place.any_job("a")).await;
+    assert_eq!(place.run.row().await.0, "static");
+    assert_eq!(worker.terminated(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn tls_is_spoken_with_whom_the_machine_trusts_and_with_nobody_else() {
     let place = Place::new("tls").await;
     let url = server("PLUMBLINE_TEST_AMQP_URL");
@@ -388,7 +419,7 @@ fn what_is_wrong_is_told_in_one_line_with_its_remedy() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_deadline_beyond_the_brokers_patience_is_warned_of() {
     let place = Place::new("patience").await;
-    for (deadline_s, warned) in [("899", false), ("901", true)] {
+    for (deadline_s, warned) in [("599", false), ("601", true)] {
         let worker = place.worker(&["--deadline", deadline_s]);
         worker.wait_for("/readyz", 200);
         let lines = worker.logged();

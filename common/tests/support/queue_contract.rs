@@ -49,6 +49,7 @@ pub(crate) async fn keeps_the_contract(broker: &dyn Broker) {
     a_rejection_is_kept_with_its_reason(broker).await;
     a_message_that_ends_every_receiver_is_put_away(broker).await;
     consumers_are_counted(broker).await;
+    a_stopped_consumer_gets_no_more_and_settles_what_it_has(broker).await;
     a_run_has_a_results_queue_while_it_lasts(broker).await;
     a_retry_whose_queue_is_gone_is_not_lost(broker).await;
     a_missing_queue_is_told_to_the_right_publisher(broker).await;
@@ -103,6 +104,25 @@ async fn no_more_than_slots_are_in_work(broker: &dyn Broker) {
         delivery.settle(Settlement::Done).await.unwrap();
     }
     nothing_comes(&mut consumer).await;
+}
+
+async fn a_stopped_consumer_gets_no_more_and_settles_what_it_has(broker: &dyn Broker) {
+    let mut stopped = broker.consume(&JOBS, 2).await.unwrap();
+    assert!(stopped.pulse().is_alive());
+    publish_all(broker, &JOBS, numbered(2), 2).await.unwrap();
+    let held = [next(&mut stopped).await, next(&mut stopped).await];
+    stopped.stop().await;
+    assert!(!stopped.pulse().is_alive());
+    for delivery in held {
+        delivery.settle(Settlement::Done).await.unwrap();
+    }
+    publish_all(broker, &JOBS, numbered(2), 2).await.unwrap();
+    let mut other = broker.consume(&JOBS, 2).await.unwrap();
+    for _ in 0..2 {
+        let delivery = next(&mut other).await;
+        assert_eq!(delivery.redeliveries, 0);
+        delivery.settle(Settlement::Done).await.unwrap();
+    }
 }
 
 async fn what_a_lost_consumer_held_comes_again(broker: &dyn Broker) {

@@ -20,8 +20,8 @@ pub(super) struct ScoreArgs {
     /// with a column `video`)
     #[arg(required = true, value_name = "SOURCE")]
     sources: Vec<String>,
-    /// Directory for the results; a run that was stopped resumes from it
-    #[arg(long, value_name = "DIR")]
+    /// Directory or s3://BUCKET/PREFIX for the results; a run that was stopped resumes from it
+    #[arg(long, value_name = "OUT")]
     out: PathBuf,
     #[command(flatten)]
     measuring: MeasuringArgs,
@@ -104,6 +104,11 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
 impl ScoreArgs {
     /// What a fleet does not do, or does by its own rules.
     fn check_fleet(&self, watches: bool) -> Result<(), Failure> {
+        if watches && self.out.to_string_lossy().contains("://") {
+            return Err(Failure::usage(
+                "--watch writes to a directory: name one by --out",
+            ));
+        }
         if !self.fleet.is_given() {
             return Ok(());
         }

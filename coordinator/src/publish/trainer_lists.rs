@@ -349,7 +349,6 @@ impl ShardKeys {
 }
 
 /// Every file that may be written.
-#[cfg(test)]
 pub(crate) fn names() -> Vec<String> {
     let lists = DECISIONS.map(|d| format!("lerobot/{}_episodes.json", decision_name(d)));
     let files = [EPISODE_REWARDS, SHARD_KEYS].map(str::to_owned);

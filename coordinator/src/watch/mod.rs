@@ -60,8 +60,8 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
         .clone()
         .ok_or(RunError::NoReference)?;
     let first = listing(options).await?;
-    let workplace = Workplace::take(options)?;
-    let journal = workplace.journal(options, &first)?;
+    let workplace = Workplace::take(&options.out)?;
+    let journal = workplace.journal(options, options.resume, &first)?;
     let known = first.iter().filter(|entry| journal.contains(&entry.video));
     let mut run = Watching {
         options,

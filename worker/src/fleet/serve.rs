@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use plumbline_common::backoff::Backoff;
 use plumbline_common::observe::Pulse;
-use plumbline_common::queue::{Broker, Consumer, QueueError};
+use plumbline_common::queue::{Broker, Consumer, Delivery, QueueError};
 use tokio::sync::watch;
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::{sleep, timeout};
@@ -56,38 +56,85 @@ pub async fn serve(
     let worker = Arc::new(Worker::new(broker, options, metrics));
     let slots = worker.options.slots.max(1);
     worker.metrics.slots.set(slots.into());
+    let mut receiver = Receiver {
+        worker: Arc::clone(&worker),
+        slots,
+        ready,
+        consumer: None,
+        rebuilds: 0,
+    };
     let mut life = Life {
         idle: (0..slots).map(|_| worker.computer()).collect(),
         tasks: JoinSet::new(),
         hand_back: watch::channel(false).0,
         worker,
     };
-    let mut consumer = life.subscribe(slots, &ready).await?;
-    let mut rebuilds = 0;
     while !is_told(&stop) {
         tokio::select! {
             _ = stop.changed() => {}
             Some(done) = life.tasks.join_next() => life.take_back(done)?,
-            delivery = consumer.next(), if !life.idle.is_empty() => match delivery {
+            delivery = receiver.next(), if !life.idle.is_empty() => life.start(delivery?),
+        }
+    }
+    if let Some(consumer) = &mut receiver.consumer {
+        consumer.stop().await;
+    }
+    life.drain(&mut stop).await
+}
+
+/// Receives jobs, from a queue that is made where it is missing.
+struct Receiver {
+    worker: Arc<Worker>,
+    slots: u16,
+    ready: watch::Sender<Option<Pulse>>,
+    consumer: Option<Box<dyn Consumer>>,
+    /// Since the last job.
+    rebuilds: u32,
+}
+
+impl Receiver {
+    /// The next job. May be cancelled without loss.
+    async fn next(&mut self) -> Result<Delivery, QueueError> {
+        loop {
+            let received = match &mut self.consumer {
+                Some(consumer) => consumer.next().await,
+                None => match subscribe(&self.worker, self.slots, &self.ready).await {
+                    Ok(consumer) => {
+                        self.consumer = Some(consumer);
+                        continue;
+                    }
+                    Err(error) => Err(error),
+                },
+            };
+            match received {
                 Ok(delivery) => {
-                    rebuilds = 0;
-                    life.start(delivery);
+                    self.rebuilds = 0;
+                    return Ok(delivery);
                 }
                 Err(QueueError::Missing { queue }) => {
-                    rebuilds += 1;
-                    let Some(wait) = REBUILDS.after_with_jitter(rebuilds) else {
-                        return Err(QueueError::Missing { queue }.into());
+                    self.consumer = None;
+                    self.rebuilds += 1;
+                    let Some(wait) = REBUILDS.after_with_jitter(self.rebuilds) else {
+                        return Err(QueueError::Missing { queue });
                     };
                     tracing::warn!(queue, "the queue of jobs is gone; it is made again");
                     sleep(wait).await;
-                    consumer = life.subscribe(slots, &ready).await?;
                 }
-                Err(error) => return Err(error.into()),
-            },
+                Err(error) => return Err(error),
+            }
         }
     }
-    consumer.stop().await;
-    life.drain(&mut stop).await
+}
+
+async fn subscribe(
+    worker: &Worker,
+    slots: u16,
+    ready: &watch::Sender<Option<Pulse>>,
+) -> Result<Box<dyn Consumer>, QueueError> {
+    worker.broker.declare(&JOBS).await?;
+    let consumer = worker.broker.consume(&JOBS, slots).await?;
+    ready.send_replace(Some(consumer.pulse()));
+    Ok(consumer)
 }
 
 /// The slots, busy and idle.
@@ -99,19 +146,7 @@ struct Life {
 }
 
 impl Life {
-    async fn subscribe(
-        &self,
-        slots: u16,
-        ready: &watch::Sender<Option<Pulse>>,
-    ) -> Result<Box<dyn Consumer>, QueueError> {
-        let broker = &self.worker.broker;
-        broker.declare(&JOBS).await?;
-        let consumer = broker.consume(&JOBS, slots).await?;
-        ready.send_replace(Some(consumer.pulse()));
-        Ok(consumer)
-    }
-
-    fn start(&mut self, delivery: plumbline_common::queue::Delivery) {
+    fn start(&mut self, delivery: Delivery) {
         let Some(mut computer) = self.idle.pop() else {
             return; // never: a delivery is taken only for an idle slot; unsettled, it would come again
         };
