@@ -28,7 +28,9 @@ mod tests;
 mod trainer_lists;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
 use arrow_array::Array;
 
@@ -45,6 +47,8 @@ use crate::reduce::sensitivity::{self, sensitivity};
 use crate::run::STATE_DIRECTORY;
 use columns::Columns;
 pub use error::ReduceFilesError;
+use float_file::shares;
+use in_parallel::in_parallel;
 use intake::{Intake, Taken, take_in};
 use output::Completion;
 pub(crate) use parts::files;
@@ -57,7 +61,7 @@ use table::Table;
 /// What is held in memory at a time; results do not depend on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Budget {
-    /// Rows whose scores are sorted together, 24 bytes each.
+    /// Rows whose scores are sorted together, 24 bytes each; two such sections are held.
     pub section_rows: u64,
     /// Rows of groups that are surveyed together, 64 bytes each.
     pub bucket_rows: u64,
@@ -70,7 +74,7 @@ impl Default for Budget {
         Self {
             section_rows: 1 << 20,
             bucket_rows: 1 << 20,
-            bucket_bytes: 64 << 20,
+            bucket_bytes: 16 << 20,
         }
     }
 }
@@ -138,7 +142,7 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
         // Its weights do not depend on these rows.
         Some(_) => None,
         None => {
-            let left_out = left_out(&intake, &corpus)?;
+            let left_out = left_out(&intake, &corpus, options.threads)?;
             let (bins, range) = (reduced.bins, reduced.range);
             sensitivity(&corpus, &intake.signals, &left_out, bins, range)?
         }
@@ -272,23 +276,40 @@ fn refuse_own_source(files: &[PathBuf], out: &Path) -> Result<(), ReduceFilesErr
 }
 
 /// The rows whose absence the weights are tried with, by name.
-fn left_out(intake: &Intake, corpus: &Surveyed) -> Result<Vec<sensitivity::Row>, ReduceFilesError> {
+fn left_out(
+    intake: &Intake,
+    corpus: &Surveyed,
+    threads: usize,
+) -> Result<Vec<sensitivity::Row>, ReduceFilesError> {
     let [a, b] = PAPER.map(|signal| &intake.signals[signal]);
-    let mut found: BTreeMap<u64, sensitivity::Row> = BTreeMap::new();
-    let mut others = Vec::new();
-    let mut bytes = Vec::new();
-    a.pieces(0..intake.rows, |first, piece| {
-        others.resize(piece.len(), f64::NAN);
-        b.read(first, &mut others, &mut bytes)?;
-        for ((row, &a), &b) in (first..).zip(piece.iter()).zip(&others) {
-            let values = [a, b].map(|value| Some(value).filter(|value| !value.is_nan()));
-            if sensitivity::is_left_out(corpus, &values) {
-                let video = String::new();
-                found.insert(row, sensitivity::Row { video, values });
+    let found = Mutex::new(BTreeMap::new());
+    let look_through = |rows| {
+        let mut others = Vec::new();
+        let mut bytes = Vec::new();
+        a.pieces(rows, |first, piece| {
+            others.resize(piece.len(), f64::NAN);
+            b.read(first, &mut others, &mut bytes)?;
+            for ((row, &a), &b) in (first..).zip(piece.iter()).zip(&others) {
+                let values = [a, b].map(|value| Some(value).filter(|value| !value.is_nan()));
+                if sensitivity::is_left_out(corpus, &values) {
+                    let video = String::new();
+                    let row_left_out = sensitivity::Row { video, values };
+                    let mut found = found.lock().map_err(|_| io::ErrorKind::Other)?;
+                    found.insert(row, row_left_out);
+                }
             }
-        }
-        Ok(())
-    })?;
+            Ok(())
+        })
+    };
+    in_parallel(
+        shares(intake.rows, threads),
+        threads,
+        || (),
+        |(), rows| Ok(look_through(rows)?),
+        |()| Ok(()),
+    )?;
+    let mut found: BTreeMap<u64, sensitivity::Row> =
+        found.into_inner().map_err(|_| ReduceFilesError::Thread)?;
     let mut first = 0;
     for table in &intake.tables {
         for (row_group, rows) in table.row_groups().into_iter().enumerate() {

@@ -28,6 +28,9 @@ use super::table_file::{BATCH_ROWS, ReadAt};
 /// Names drawn for each bucket: the rows of a bucket are then as many as meant within some tenths.
 const DRAWN_PER_BUCKET: u64 = 128;
 
+/// How much larger the pieces are that are distributed at once: so that cuts do not become crumbs.
+const BUCKETS_PER_PIECE: usize = 2;
+
 /// Tables of which some rows are measured, to know how large a row is.
 const MEASURED_TABLES: usize = 16;
 
@@ -76,7 +79,7 @@ pub(super) fn sorted(
         splitters,
         cuts: &cuts,
         written: &written,
-        piece_bytes: bucket_bytes / 2,
+        piece_bytes: bucket_bytes.saturating_mul(BUCKETS_PER_PIECE),
     };
     in_parallel(
         groups,
@@ -261,31 +264,26 @@ impl Distribution<'_> {
             *place += 1;
         }
         let piece = take_record_batch(&piece, &UInt32Array::from(rows)).map_err(encode)?;
-        let mut text = Vec::new();
-        let mut starts = Vec::with_capacity(counts.len());
-        for (&count, &end) in counts.iter().zip(&ends) {
-            starts.push(text.len() as u64);
-            if count > 0 {
-                let mut writer = StreamWriter::try_new(&mut text, &self.schema).map_err(encode)?;
-                writer
-                    .write(&piece.slice(end - count, count))
-                    .map_err(encode)?;
-                writer.finish().map_err(encode)?;
+        let mut cut = Vec::new();
+        for (bucket, (&count, &end)) in counts.iter().zip(&ends).enumerate() {
+            if count == 0 {
+                continue;
             }
-        }
-        let position = {
+            cut.clear();
+            let mut writer = StreamWriter::try_new(&mut cut, &self.schema).map_err(encode)?;
+            writer
+                .write(&piece.slice(end - count, count))
+                .map_err(encode)?;
+            writer.finish().map_err(encode)?;
             let mut written = self.written.lock().map_err(|_| ReduceFilesError::Thread)?;
             let position = written.end;
-            written.end += text.len() as u64;
-            for ((bucket, &count), start) in written.buckets.iter_mut().zip(&counts).zip(starts) {
-                if count > 0 {
-                    bucket.rows += count as u64;
-                    bucket.cuts.push(position + start);
-                }
-            }
-            position
-        };
-        Ok(self.cuts.write_all_at(&text, position)?)
+            written.end += cut.len() as u64;
+            written.buckets[bucket].rows += count as u64;
+            written.buckets[bucket].cuts.push(position);
+            drop(written);
+            self.cuts.write_all_at(&cut, position)?;
+        }
+        Ok(())
     }
 }
 

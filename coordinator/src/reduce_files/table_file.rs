@@ -22,8 +22,8 @@ use super::error::ReduceFilesError;
 /// Rows per batch when columns are read.
 pub(super) const BATCH_ROWS: usize = 8192;
 
-/// Bytes read ahead of a column's pages.
-const READ_AHEAD_BYTES: usize = 1 << 16;
+/// Bytes read for the header of a page; its body is read by itself.
+const READ_AHEAD_BYTES: usize = 1 << 12;
 
 /// An open Parquet file.
 #[derive(Debug, Clone)]
