@@ -520,7 +520,7 @@ fn publish_run(
         plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
         source: options.sources.clone(),
         profile: Some(ProfileRecord {
-            name: Some(options.profile.rung.as_str().to_owned()),
+            name: Some(options.profile.name()),
             digest: options.reduce.profile_digest.clone(),
             parameters,
         }),

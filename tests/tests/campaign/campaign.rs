@@ -1,6 +1,7 @@
 //! Runs of one corpus, over and over, while what they need breaks in a seeded order.
 //!
 //! `PLUMBLINE_CAMPAIGN_FAULTS` (200) is how many faults to inject at least, beside those of the S3 requests;
+//! `PLUMBLINE_CAMPAIGN_MINUTES` (60) when no further run begins, which fails where faults are missing;
 //! `PLUMBLINE_CAMPAIGN_SEED` another order; `PLUMBLINE_CAMPAIGN_LOG` a file for the line per fault.
 
 use std::collections::BTreeMap;
@@ -60,9 +61,10 @@ fn setting(name: &str, default: u64) -> u64 {
 fn nothing_is_lost_and_nothing_comes_twice_under_faults() {
     let wanted = setting("PLUMBLINE_CAMPAIGN_FAULTS", 200);
     let seed = setting("PLUMBLINE_CAMPAIGN_SEED", 20_261_125);
+    let most_s = 60.0 * setting("PLUMBLINE_CAMPAIGN_MINUTES", 60) as f64;
     let mut campaign = Campaign::begin(seed);
     let mut runs = 0;
-    while campaign.journal.faults() < wanted {
+    while campaign.journal.faults() < wanted && campaign.journal.elapsed_s() < most_s {
         runs += 1;
         campaign.run(runs, wanted);
         eprintln!(
@@ -71,7 +73,12 @@ fn nothing_is_lost_and_nothing_comes_twice_under_faults() {
             campaign.journal.elapsed_s()
         );
     }
+    let faults = campaign.journal.faults();
     campaign.end(runs);
+    assert!(
+        faults >= wanted,
+        "only {faults} of {wanted} faults in {most_s} s, though all went well"
+    );
 }
 
 struct Campaign {
@@ -498,10 +505,12 @@ impl Campaign {
         for id in &self.tamperer.deadly {
             assert!(dead.contains_key(id), "{id} is no dead letter");
         }
+        let in_time = &self.tamperer.deadly_in_time;
         for (id, reason) in &dead {
-            let is_poison = self.tamperer.deadly.contains(id);
+            let is_poison = self.tamperer.deadly.contains(id) || in_time.contains(id);
             assert!(is_poison, "unexpected dead letter {id}: {reason}");
         }
+        assert!(in_time.len() < 4 || in_time.iter().any(|id| dead.contains_key(id)));
         let seen = self.prefetches.stop();
         for (fault, count) in self.s3_faults.injected() {
             self.journal.note(fault, &format!("{count} requests"));

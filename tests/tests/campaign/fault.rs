@@ -112,6 +112,8 @@ pub(crate) struct Tamperer {
     poisons: u64,
     /// Ids of the messages that must end as dead letters.
     pub(crate) deadly: Vec<String>,
+    /// Of those that must, unless their run was over before anyone looked at them.
+    pub(crate) deadly_in_time: Vec<String>,
 }
 
 impl Tamperer {
@@ -122,6 +124,7 @@ impl Tamperer {
             template: None,
             poisons: 0,
             deadly: Vec::new(),
+            deadly_in_time: Vec::new(),
         }
     }
 
@@ -178,20 +181,22 @@ impl Tamperer {
         let name = format!("poison/{}-{poison:?}", self.poisons);
         let garbage: Vec<u8> = name.bytes().map(|byte| byte ^ 0xa5).collect();
         match poison {
-            Poison::Garbage | Poison::GarbageResult => {
-                let queue = match poison {
-                    Poison::Garbage => JOBS,
-                    _ => Queue::Results(run.clone()),
-                };
-                self.publish(&queue, Message::new(&name, garbage)).await?;
+            Poison::Garbage => {
+                self.publish(&JOBS, Message::new(&name, garbage)).await?;
                 self.deadly.push(name.clone());
+            }
+            Poison::GarbageResult => {
+                let results = Queue::Results(run.clone());
+                self.publish(&results, Message::new(&name, garbage)).await?;
+                self.deadly_in_time.push(name.clone());
             }
             Poison::FutureVersion => {
                 let job = self.poison_job(run, &name, "any.mp4").await?;
                 let mut body = message::encode(&job).unwrap();
                 body[0] = message::WIRE_VERSION + 1;
                 self.publish(&JOBS, Message::new(&name, body)).await?;
-                self.deadly.push(name.clone());
+                // Its run can be told from it, and nobody waits for its row when that is over.
+                self.deadly_in_time.push(name.clone());
             }
             Poison::MissingObject => {
                 let job = self.poison_job(run, &name, "never-there.mp4").await?;

@@ -23,6 +23,9 @@ const COPIES: u64 = 13;
 /// Of each clip: few, since it is not the measuring that is tried here.
 const FRAMES: usize = 5;
 
+/// Jobs that wait at once: few, so that what is sent among them is met in the middle of a run.
+const WINDOW: &str = "60";
+
 /// A connection that says nothing for about twice as long is given up: short, so that half-open ones cost
 /// seconds here.
 const HEARTBEAT_S: u32 = 3;
@@ -165,6 +168,7 @@ pub(crate) fn score_command(
     command
         .args(["score", &format!("{}/", address(prefix)), "--out", out])
         .args(["--profile", "draft", "--run", run])
+        .args(["--window", WINDOW])
         .args(["--queue", &ways.amqp_url()]);
     command
 }
