@@ -479,6 +479,10 @@ impl Broker for Gone {
         Err(gone())
     }
 
+    async fn consumers(&self, _: &Queue) -> Result<u64, QueueError> {
+        Err(gone())
+    }
+
     async fn delete(&self, _: &RunId) -> Result<(), QueueError> {
         Err(gone())
     }
