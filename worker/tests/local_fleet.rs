@@ -14,8 +14,11 @@ use std::time::Duration;
 use async_trait::async_trait;
 use bytes::Bytes;
 use futures_util::stream::BoxStream;
+use plumbline_common::id::RunId;
 use plumbline_common::message::{Job, WIRE_VERSION};
-use plumbline_common::queue::{Broker, LocalBroker, LocalOptions, Message, Queue};
+use plumbline_common::queue::{
+    Broker, Consumer, Lease, LocalBroker, LocalOptions, Message, Queue, QueueError,
+};
 use plumbline_common::store::{DirStore, ObjectKey, ObjectMeta, ObjectStore, StoreError};
 use plumbline_common::trace::TraceContext;
 use plumbline_worker::child::ComputeLimits;
@@ -444,6 +447,62 @@ async fn without_a_program_for_children_the_worker_ends_and_the_job_comes_again(
             .contains("cannot start the compute process")
     );
     assert_eq!(place.run.waiting(&JOBS).await, 1);
+}
+
+/// A broker that has outlasted every wait.
+#[derive(Debug)]
+struct Gone;
+
+fn gone() -> QueueError {
+    QueueError::Unreachable {
+        broker: "amqp://somewhere".to_owned(),
+        attempts: 30,
+        source: "connection refused".into(),
+    }
+}
+
+#[async_trait]
+impl Broker for Gone {
+    async fn declare(&self, _: &Queue) -> Result<(), QueueError> {
+        Ok(())
+    }
+
+    async fn publish(&self, _: &Queue, _: Message) -> Result<(), QueueError> {
+        Err(gone())
+    }
+
+    async fn consume(&self, _: &Queue, _: u16) -> Result<Box<dyn Consumer>, QueueError> {
+        Err(gone())
+    }
+
+    async fn ready(&self, _: &Queue) -> Result<u64, QueueError> {
+        Err(gone())
+    }
+
+    async fn consumers(&self, _: &Queue) -> Result<u64, QueueError> {
+        Err(gone())
+    }
+
+    async fn delete(&self, _: &RunId) -> Result<(), QueueError> {
+        Err(gone())
+    }
+
+    async fn lease(&self, _: &RunId) -> Result<Option<Box<dyn Lease>>, QueueError> {
+        Err(gone())
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_broker_that_stays_away_ends_the_worker() {
+    let place = Place::new().await;
+    let broker: Arc<dyn Broker> = Arc::new(Gone);
+    let working = Working::start(&broker, place.options.clone());
+    assert!(
+        working
+            .failed()
+            .await
+            .contains("no answer after 30 attempts")
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
