@@ -27,6 +27,10 @@ use crate::run::{RunError, STATE_DIRECTORY};
 /// Larger parts than are ever put.
 const MAX_PART_BYTES: u64 = 1 << 30;
 
+/// Hexadecimal digits of the digest of its content that name a part: no two are the same, and keys stay short
+/// enough for stores that make file names of them.
+const NAME_DIGITS: usize = 32;
+
 /// The column of whole records, encoded as messages are, as text.
 const RECORD: &str = "record";
 
@@ -85,7 +89,9 @@ impl Parts {
             Column::field(RECORD, Kind::Text, |row| row.record.as_str().into()),
         ];
         put_table(&*self.store, &columns, &self.pending, |bytes| {
-            ObjectKey::of_content(&self.prefix, bytes, "parquet")
+            let digest = blake3::hash(bytes).to_hex();
+            let name = digest.get(..NAME_DIGITS).unwrap_or_default();
+            ObjectKey::new(format!("{}{name}.parquet", self.prefix))
         })
         .await?;
         self.pending.clear();

@@ -236,7 +236,8 @@ pub(super) async fn look(
     Ok(Looked::Objects(below))
 }
 
-/// The object of exactly this name, if there is one.
+/// The object of exactly this name, if there is one: the first that a listing gives. Not asked for by name,
+/// since some services answer with a failure where only objects below it are.
 async fn single(
     address: &Address,
     store: &dyn ObjectStore,
@@ -244,13 +245,9 @@ async fn single(
     if address.key.is_empty() || address.key.ends_with('/') {
         return Ok(None);
     }
-    match store.head(&ObjectKey::new(address.key.as_str())?).await {
-        Ok(meta) => Ok(Some(meta)),
-        Err(StoreError::NotFound { .. }) => Ok(None),
-        // Not a name that a file can have, so that no file has it.
-        Err(StoreError::Key(_)) => Ok(None),
-        Err(error) => Err(error),
-    }
+    let first_page = store.list(&address.key).try_next().await?;
+    let first = first_page.and_then(|page| page.into_iter().next());
+    Ok(first.filter(|meta| meta.key.as_str() == address.key))
 }
 
 /// A list in the store; what it names without `s3://` lies beside it.

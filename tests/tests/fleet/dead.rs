@@ -10,14 +10,10 @@ use crate::setup::Fleet;
 #[tokio::test]
 async fn a_job_past_its_deadline_is_a_row_and_a_dead_letter_and_is_measured_after_a_fix() {
     let fleet = Fleet::with_clips("dead", 3).await;
-    // Minutes at this profile on a worker that gives it two seconds.
+    // Seconds at this profile, on a worker that gives it half of one.
     clips::write_long(&fleet.place.video("pick/long.mp4"), 7);
     fleet.upload().await;
-    let score = || {
-        let mut command = fleet.score("out", &["--queue", "--json"]);
-        command.args(["--profile", "draft"]);
-        command
-    };
+    let score = || fleet.score("out", &["--queue", "--json"]);
     let mut hasty = fleet.worker("hasty", &["--deadline", "0.5"]);
     let ended = Started::start(&mut score()).wait().expect_code(3);
     let run = ended.json()["run"].as_str().unwrap().to_owned();
@@ -28,15 +24,34 @@ async fn a_job_past_its_deadline_is_a_row_and_a_dead_letter_and_is_measured_afte
         "{row:?}"
     );
 
-    let dead = fleet.run(&["fleet", "dead", "--json"]).expect_code(0);
-    let letters = dead.json();
-    let letters = letters.as_array().unwrap();
-    assert_eq!(letters.len(), 1, "{letters:?}");
-    assert_eq!(letters[0]["video"], "pick/long.mp4");
-    assert_eq!(letters[0]["run"], run.as_str());
+    // On a busy machine others may have been too slow, too.
+    let dead = fleet
+        .run(&["fleet", "dead", "--json"])
+        .expect_code(0)
+        .json();
+    let dead = dead.as_array().unwrap();
+    assert!(
+        dead.iter().any(|letter| letter["video"] == "pick/long.mp4"),
+        "{dead:?}"
+    );
+    for letter in dead {
+        assert_eq!(letter["run"], run.as_str());
+        assert!(
+            letter["reason"].as_str().unwrap().contains("0.5 s"),
+            "{letter}"
+        );
+        let row = fleet
+            .place
+            .published("out")
+            .row(letter["video"].as_str().unwrap());
+        assert_eq!(row["status"], "failed");
+    }
     let status = fleet.run(&["fleet", "status", "--json"]).expect_code(0);
     let status = status.json();
-    assert_eq!(status["dead"], serde_json::json!({ run.clone(): 1 }));
+    assert_eq!(
+        status["dead"],
+        serde_json::json!({ run.clone(): dead.len() })
+    );
     assert_eq!(status["jobs"]["consumers"], 1);
 
     // The fix: a worker with time. What is scored already is not measured again.
@@ -45,13 +60,13 @@ async fn a_job_past_its_deadline_is_a_row_and_a_dead_letter_and_is_measured_afte
     fleet
         .run(&["fleet", "retry", &run])
         .expect_code(0)
-        .expect_line(&["1 job", "plumbline score"]);
+        .expect_line(&[&format!("{} job", dead.len()), "plumbline score"]);
     let ended = Started::start(&mut score()).wait().expect_code(3);
-    assert_eq!(ended.json()["measured_now"], 1);
+    assert_eq!(ended.json()["measured_now"], dead.len());
     let row = fleet.place.published("out").row("pick/long.mp4");
     assert_eq!(row["status"], "scored", "{row:?}");
-    let dead = fleet.run(&["fleet", "dead", "--json"]).expect_code(0);
-    assert_eq!(dead.json(), serde_json::json!([]));
+    let none = fleet.run(&["fleet", "dead", "--json"]).expect_code(0);
+    assert_eq!(none.json(), serde_json::json!([]));
 }
 
 #[tokio::test]

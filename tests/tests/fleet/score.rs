@@ -2,6 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use futures_util::TryStreamExt;
+use plumbline_common::store::{ObjectKey, ObjectStore, fetch};
+use plumbline_tests::binary::{plumbline, worker};
 use plumbline_tests::published::names;
 use plumbline_tests::run::Started;
 
@@ -60,6 +63,74 @@ async fn two_workers_score_a_bucket_and_every_file_is_what_one_machine_makes() {
         workers.is_subset(&BTreeSet::from(["first".into(), "second".into()])),
         "{workers:?}"
     );
+}
+
+#[tokio::test]
+async fn the_readme_takes_a_new_user_to_scores_with_two_workers() {
+    let fleet = Fleet::with_clips("readme", 4).await;
+    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../README.md"));
+    let readme = readme.unwrap();
+    let (_, section) = readme.split_once("\n## On many machines\n").unwrap();
+    let blocks: Vec<&str> = section.split("```\n").skip(1).step_by(2).collect();
+    let commands = blocks[1];
+    assert_eq!(
+        commands.matches("plumbline-worker --name").count(),
+        2,
+        "{commands}"
+    );
+    let commands = commands
+        .replace(
+            "target/release/plumbline-worker",
+            worker().to_str().unwrap(),
+        )
+        .replace("target/release/plumbline", plumbline().to_str().unwrap())
+        .replace("s3://BUCKET/rollouts", &fleet.address("videos"))
+        .replace("s3://BUCKET/scores", &fleet.address("scores"));
+    let script = format!("trap 'kill $(jobs -p); wait' EXIT\n{commands}");
+    let mut shell = fleet.command("bash".as_ref());
+    Started::start(shell.args(["-c", &script]))
+        .wait()
+        .expect_code(3)
+        .expect_line(&["6 videos for the fleet"]);
+    let store = fleet.store("scores").await;
+    let rows = store
+        .head(&ObjectKey::new("scores.jsonl").unwrap())
+        .await
+        .unwrap();
+    let rows = fetch(&store, &rows, 1 << 20).await.unwrap();
+    assert_eq!(rows.iter().filter(|byte| **byte == b'\n').count(), 6);
+}
+
+#[tokio::test]
+async fn an_out_in_a_bucket_holds_the_same_files_and_is_resumed_from() {
+    let fleet = Fleet::with_clips("bucket", 6).await;
+    Started::start(&mut fleet.score("embedded", &[]))
+        .wait()
+        .expect_code(3);
+    let out = fleet.address("out");
+    // Measured here and kept there; the fleet, asked for more rules, has nothing left to measure.
+    let first = Started::start(&mut fleet.score(&out, &["--json"])).wait();
+    assert_eq!(first.expect_code(3).json()["measured_now"], 8);
+    let keep = ["--keep", "2", "--queue", "--json"];
+    let again = Started::start(&mut fleet.score(&out, &keep)).wait();
+    assert_eq!(again.expect_code(3).json()["measured_now"], 0);
+    // Everything anew, by a worker.
+    let _worker = fleet.worker("worker", &[]);
+    let anew = ["--queue", "--no-resume", "--json"];
+    let anew = Started::start(&mut fleet.score(&out, &anew)).wait();
+    assert_eq!(anew.expect_code(3).json()["measured_now"], 8);
+
+    let store = fleet.store("out").await;
+    let objects: Vec<_> = store.list("").try_concat().await.unwrap();
+    let keys: Vec<&str> = objects.iter().map(|object| object.key.as_str()).collect();
+    assert!(keys.contains(&"report.html"), "{keys:?}");
+    assert!(keys.iter().any(|key| key.contains("/parts/")), "{keys:?}");
+    for (name, expected) in fleet.place.published("embedded").stable_files() {
+        let object = objects.iter().find(|object| object.key.as_str() == name);
+        let object = object.unwrap_or_else(|| panic!("{name} is not in {keys:?}"));
+        let found = fetch(&store, object, 64 << 20).await.unwrap();
+        assert!(found == expected, "{name} differs");
+    }
 }
 
 #[tokio::test]
