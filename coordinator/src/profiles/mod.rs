@@ -3,7 +3,7 @@
 //! A file names the rung it starts from (`rung`, default `standard`) and the knobs it changes; what
 //! `plumbline profile show` prints is such a file. Misspelt knobs are refused. What a combination of
 //! knobs does cannot be read off it, so a changed profile is tried on a rendered clip before it is used
-//! ([`tried`]): a profile that cannot measure that one is refused, with the reason its row would have.
+//! ([`tried()`]): a profile that cannot measure that one is refused, with the reason its row would have.
 
 mod knobs;
 mod tried;
