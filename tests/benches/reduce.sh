@@ -6,7 +6,9 @@
 #   reduce.sh [ROWS=10000000] [LARGE_ROWS]     LARGE_ROWS: ours alone once more, on so many rows
 #
 # PYTHON names an interpreter with polars, numpy and pyarrow (default: python3); WORK a directory with
-# room for about 700 bytes a row (default: a new one below /tmp). Needs GNU time.
+# room for about 1500 bytes for each of ROWS, and 550 for each of LARGE_ROWS (default: a new one below
+# /tmp). LEAN=1 makes the large run one of lean rows (short names, two signals, nothing carried), for
+# which 330 bytes a row are enough. Needs GNU time.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 rows=${1:-10000000}
@@ -51,8 +53,8 @@ measure "Polars paper, rows in random order" "$python" "$script" polars "$work/s
 rm -r "$work/shuffled.parquet" "$work/polars"
 if [ -n "$large" ]; then
     rm -r "$work/ours"
-    rows_of "$work/large.parquet" "$large"
-    ours "plumbline paper, $large rows" "$work/large.parquet" paper
+    rows_of "$work/large.parquet" "$large" ${LEAN:+--lean}
+    ours "plumbline paper, $large ${LEAN:+lean }rows" "$work/large.parquet" paper
 fi
 
 mkdir -p tests/benches/results

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Beside `plumbline reduce`: seeded rows, the same reduce in Polars and in NumPy, and a comparison.
 
-    reduce_peers.py rows OUT.parquet N [--shuffled]
+    reduce_peers.py rows OUT.parquet N [--shuffled] [--lean]
     reduce_peers.py polars|numpy ROWS.parquet OUT RECIPE
     reduce_peers.py compare OUT OTHER
     reduce_peers.py versions
@@ -23,8 +23,9 @@ FAMILIES = [SIGNALS[2:4], SIGNALS[4:]]
 KEEP = 0.8
 
 
-def make_rows(path, n, shuffled):
-    """Lognormal signals, one row in fifty without a score, names as of a fleet's rollouts."""
+def make_rows(path, n, shuffled, lean):
+    """Lognormal signals, one row in fifty without a score, names as of a fleet's rollouts. Lean rows have
+    short names, the paper's two signals and nothing carried: for runs that must fit on a small disk."""
     import numpy as np
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -52,7 +53,11 @@ def make_rows(path, n, shuffled):
             "motion_px": rng.lognormal(0.5, 0.6, m),
         }
         columns["group"] = pa.nulls(m, pa.string())
-        for k, signal in enumerate(SIGNALS):
+        if lean:
+            columns["video"] = [f"{i * 997 // n:03d}/{i:09d}" for i in index.tolist()]
+            for name in ("prompt", "seed", "motion_px"):
+                del columns[name]
+        for k, signal in enumerate(PAPER if lean else SIGNALS):
             values = rng.lognormal(-1 + 0.2 * k, 0.4 + 0.05 * k, m)
             columns[signal] = pa.array(values, mask=static)
         columns["profile_digest"] = pa.array([digest] * m)
@@ -232,10 +237,11 @@ if __name__ == "__main__":
     parser.add_argument("task", choices=["rows", "polars", "numpy", "compare", "versions"])
     parser.add_argument("words", nargs="*")
     parser.add_argument("--shuffled", action="store_true")
+    parser.add_argument("--lean", action="store_true")
     args = parser.parse_args()
     match args.task:
         case "rows":
-            make_rows(args.words[0], int(args.words[1]), args.shuffled)
+            make_rows(args.words[0], int(args.words[1]), args.shuffled, args.lean)
         case "polars":
             by_polars(*args.words)
         case "numpy":

@@ -164,7 +164,7 @@ fn fill(
 ) -> Result<(), PublishError> {
     let io_error = |source| PublishError::from_io(name, source);
     let mut out = BufWriter::new(Watched {
-        inner: file,
+        inner: Behind::new(file),
         failure: None,
     });
     let encoded = encode(&mut out);
@@ -176,7 +176,48 @@ fn fill(
         source,
     })?;
     out.flush().map_err(io_error)?;
-    out.get_ref().inner.sync_all().map_err(io_error)
+    out.get_ref().inner.file.sync_all().map_err(io_error)
+}
+
+/// Bytes written between two words to the system.
+const BEHIND_BYTES: u64 = 16 << 20;
+
+/// Lets the system write what was written, and forget it: tables are written once and have to reach
+/// the disk before they are named; gigabytes of them would push everything else out of memory.
+struct Behind {
+    file: File,
+    written: u64,
+    told: u64,
+}
+
+impl Behind {
+    fn new(file: File) -> Self {
+        Self {
+            file,
+            written: 0,
+            told: 0,
+        }
+    }
+}
+
+impl Write for Behind {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let n = self.file.write(bytes)?;
+        self.written += n as u64;
+        if self.written - self.told >= BEHIND_BYTES {
+            // From two such pieces before on: they have reached the disk meanwhile. Nothing depends
+            // on it: a file system that knows no advice keeps its pages.
+            let from = self.told.saturating_sub(2 * BEHIND_BYTES);
+            let len = std::num::NonZeroU64::new(self.written - from);
+            let _ = rustix::fs::fadvise(&self.file, from, len, rustix::fs::Advice::DontNeed);
+            self.told = self.written;
+        }
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
 }
 
 /// Keeps the first error of the disk: encoders wrap it, or turn it into text.

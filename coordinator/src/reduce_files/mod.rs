@@ -65,7 +65,7 @@ pub struct Budget {
     pub section_rows: u64,
     /// Rows of groups that are surveyed together, 64 bytes each.
     pub bucket_rows: u64,
-    /// Bytes of rows that are sorted by name together.
+    /// Bytes of rows that are sorted by name together; up to eight times as many of a large corpus.
     pub bucket_bytes: usize,
 }
 
@@ -74,7 +74,7 @@ impl Default for Budget {
         Self {
             section_rows: 1 << 20,
             bucket_rows: 1 << 20,
-            bucket_bytes: 16 << 20,
+            bucket_bytes: 8 << 20,
         }
     }
 }

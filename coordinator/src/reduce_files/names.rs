@@ -22,12 +22,12 @@ pub(super) fn order(names: &StringArray) -> Vec<u32> {
 /// Sorts names that share their first `depth` bytes.
 fn sort(part: &mut [Entry], names: &StringArray, mut depth: usize) {
     let name = |entry: &Entry| names.value(entry.1 as usize).as_bytes();
-    let longest = part.iter().map(|entry| name(entry).len()).max();
-    let longest = longest.unwrap_or_default();
     if part.len() <= FEW {
         part.sort_unstable_by(|a, b| name(a).cmp(name(b)));
         return;
     }
+    let longest = part.iter().map(|entry| name(entry).len()).max();
+    let longest = longest.unwrap_or_default();
     loop {
         if depth >= longest {
             // They differ in how many zero bytes they end in, if at all.

@@ -28,8 +28,10 @@ use super::table_file::{BATCH_ROWS, ReadAt};
 /// Names drawn for each bucket: the rows of a bucket are then as many as meant within some tenths.
 const DRAWN_PER_BUCKET: u64 = 128;
 
-/// How much larger the pieces are that are distributed at once: so that cuts do not become crumbs.
-const BUCKETS_PER_PIECE: usize = 2;
+/// Buckets, as long as that leaves each of them between [`super::Budget::bucket_bytes`] and
+/// [`LARGEST_BUCKET`] of those: small ones are quick to handle, but many cut the rows into crumbs.
+const BUCKETS: f64 = 256.0;
+const LARGEST_BUCKET: f64 = 8.0;
 
 /// Tables of which some rows are measured, to know how large a row is.
 const MEASURED_TABLES: usize = 16;
@@ -54,7 +56,7 @@ struct Bucket {
     cuts: Vec<u64>,
 }
 
-/// Sorts the rows of all tables by name; buckets hold about `bucket_bytes`.
+/// Sorts the rows of all tables by name; buckets hold `bucket_bytes` to eight times as much.
 pub(super) fn sorted(
     tables: &[Table],
     columns: &Columns,
@@ -66,7 +68,9 @@ pub(super) fn sorted(
     let groups = row_groups(tables);
     let rows: u64 = groups.iter().map(|group| group.rows).sum();
     let bytes = rows as f64 * row_bytes(tables, columns, &names)?;
-    let buckets = ((bytes / bucket_bytes as f64).ceil() as u64).clamp(1, rows.max(1));
+    let least = bucket_bytes as f64;
+    let each = (bytes / BUCKETS).clamp(least, least * LARGEST_BUCKET);
+    let buckets = ((bytes / each).ceil() as u64).clamp(1, rows.max(1));
     let splitters = splitters(tables, &groups, rows, buckets, threads)?;
 
     let cuts = Arc::new(tempfile::tempfile_in(scratch)?);
@@ -79,7 +83,7 @@ pub(super) fn sorted(
         splitters,
         cuts: &cuts,
         written: &written,
-        piece_bytes: bucket_bytes.saturating_mul(BUCKETS_PER_PIECE),
+        piece_bytes: 2 * bucket_bytes,
     };
     in_parallel(
         groups,
