@@ -50,6 +50,22 @@ export_prototype() {
     touch "$out/done"
 }
 
+# The model converter's own tests, its networks against the reference's numbers where those are at hand, and
+# the converted sets for the tests in Rust.
+convert_models() {
+    local golden=$root/../shared/golden work=${CARGO_TARGET_DIR:-$root/target}/tmp
+    deploy/models/setup.sh "$work/models-venv" >/dev/null
+    local python="$work/models-venv/bin/python -B"
+    say "tests: the model converter"
+    if [ ! -f "$golden/droid_nets.npz" ]; then
+        (cd deploy/models && $python -m unittest test_converter)
+        return
+    fi
+    (cd deploy/models && PLUMBLINE_GOLDEN=$golden $python -m unittest test_converter)
+    rm -rf "$work/learned"
+    $python deploy/models/parity.py "$golden" --out "$work/learned"
+}
+
 cli='package(plumbline-tests) and not binary(/^(campaign|fleet)$/)'
 parity='binary(/^parity/)'
 fleet='(package(plumbline-common) and binary(/^(queue|store|restart)$/)) or binary(/^(campaign|fleet)$/)'
@@ -58,9 +74,9 @@ numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
     unit) lint; run "not ($cli) and not ($parity) and not ($numerics) and not ($fleet)" ;;
     cli) run "$cli" ;;
-    parity) export_prototype; run "$parity" ;;
+    parity) export_prototype; convert_models; run "$parity" ;;
     numerics) run "$numerics" ;;
     fleet) run "$fleet" "$servers" ;;
-    all) lint; export_prototype; run 'all()' "$servers" ;;
+    all) lint; export_prototype; convert_models; run 'all()' "$servers" ;;
     *) echo "unknown suite $suite: unit, cli, parity, numerics or fleet" >&2; exit 2 ;;
 esac

@@ -262,6 +262,9 @@ impl Measurement {
 pub struct Cost {
     /// Wall time of the whole measurement, without the fetch.
     pub total_s: f64,
+    /// Processor time of it, over all threads: what counts on a busy machine.
+    #[serde(default)]
+    pub cpu_s: f64,
     /// Bringing the video from its object store.
     #[serde(default)]
     pub fetch_s: f64,

@@ -32,8 +32,13 @@ async fn a_settlement_that_the_broker_did_not_wait_for_is_lost_and_the_consumer_
     let pulse = consumer.pulse();
     publish_all(&broker, &JOBS, numbered(1), 1).await.unwrap();
     let slow = next(&mut consumer).await;
-    let again = next(&mut consumer).await;
+    let waiting = std::time::Instant::now();
+    while pulse.is_alive() {
+        assert!(waiting.elapsed() < DEADLINE, "the broker waits");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
     set("1800000", "60000");
+    let again = next(&mut consumer).await;
     assert_eq!(again.message.id, slow.message.id);
     assert_eq!(again.redeliveries, 1);
     assert!(pulse.is_alive());

@@ -16,6 +16,7 @@ mod measuring;
 mod npz;
 mod parts;
 pub mod picture;
+pub mod profiles;
 pub mod progress;
 pub mod publish;
 pub mod reduce;

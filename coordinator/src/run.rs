@@ -296,6 +296,11 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     };
     if collected.is_err() {
         keep.flush().await?;
+        if let Some(run) = &run {
+            say(&format!(
+                "workers go on with what is in the queue, unless told not to: plumbline fleet cancel {run}"
+            ));
+        }
     }
     let compute_s = collected?;
 
@@ -515,7 +520,7 @@ fn publish_run(
         plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
         source: options.sources.clone(),
         profile: Some(ProfileRecord {
-            name: Some(options.profile.rung.as_str().to_owned()),
+            name: Some(options.profile.name()),
             digest: options.reduce.profile_digest.clone(),
             parameters,
         }),

@@ -94,7 +94,7 @@ async fn slam_into(options: &SlamOptions, claimed: &Claimed) -> Result<SlamResul
         "plumbline_version": env!("CARGO_PKG_VERSION"),
         "video": entry.video,
         "profile": {
-            "name": options.profile.rung.as_str(),
+            "name": options.profile.name(),
             "digest": options.profile.digest().map_err(RunError::Profile)?,
         },
     });

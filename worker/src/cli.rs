@@ -230,7 +230,8 @@ fn warn_of_the_consumer_timeout(options: &WorkerOptions) {
     let Compute::Children { limits, .. } = &options.compute else {
         return;
     };
-    let longest_s = child::MAX_ATTEMPTS as f64 * limits.deadline_s;
+    // A fetch, a child that dies at the last moment, and another one.
+    let longest_s = f64::from(1 + child::MAX_ATTEMPTS) * limits.deadline_s;
     if longest_s > BROKER_DEFAULT_TIMEOUT.as_secs_f64() {
         tracing::warn!(
             longest_s,

@@ -7,6 +7,7 @@ pub mod encode;
 pub mod explain;
 pub mod fetch;
 pub mod fleet;
+pub mod learned;
 pub mod measure;
 pub mod profile;
 pub mod settings;

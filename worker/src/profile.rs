@@ -30,6 +30,9 @@ pub enum Rung {
 }
 
 impl Rung {
+    /// From the cheapest to the dearest.
+    pub const ALL: [Self; 3] = [Self::Draft, Self::Standard, Self::Accurate];
+
     /// The name used on the command line and in every output.
     #[must_use]
     pub fn as_str(self) -> &'static str {
@@ -185,6 +188,26 @@ impl Profile {
         }
     }
 
+    /// The rung's name; that of a rung with changed knobs says so. The camera, limits, thresholds and which
+    /// frames and times count are no such change.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let unchanged = Self {
+            fault_thresholds: self.fault_thresholds,
+            force_adjustment: self.force_adjustment,
+            intrinsics: self.intrinsics,
+            conditioning_frames: self.conditioning_frames,
+            warmup_frames: self.warmup_frames,
+            sequence_fps: self.sequence_fps,
+            limits: self.limits.clone(),
+            ..Self::new(self.rung)
+        };
+        match *self == unchanged {
+            true => self.rung.as_str().to_owned(),
+            false => format!("{}, changed", self.rung.as_str()),
+        }
+    }
+
     /// The form that is hashed and that travels: JSON with fields in declaration order.
     ///
     /// # Errors
@@ -233,6 +256,10 @@ mod tests {
         let digest = standard.digest().unwrap();
         let mut other = standard.clone();
         other.verdict.min_moving_fraction = 0.007;
+        assert_eq!(
+            (standard.name().as_str(), other.name().as_str()),
+            ("standard", "standard, changed")
+        );
         assert_ne!(other.digest().unwrap(), digest);
         let back: Profile = serde_json::from_slice(&standard.canonical().unwrap()).unwrap();
         assert_eq!(back, standard);

@@ -419,7 +419,7 @@ fn what_is_wrong_is_told_in_one_line_with_its_remedy() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_deadline_beyond_the_brokers_patience_is_warned_of() {
     let place = Place::new("patience").await;
-    for (deadline_s, warned) in [("899", false), ("901", true)] {
+    for (deadline_s, warned) in [("599", false), ("601", true)] {
         let worker = place.worker(&["--deadline", deadline_s]);
         worker.wait_for("/readyz", 200);
         let lines = worker.logged();

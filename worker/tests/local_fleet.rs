@@ -14,8 +14,11 @@ use std::time::Duration;
 use async_trait::async_trait;
 use bytes::Bytes;
 use futures_util::stream::BoxStream;
+use plumbline_common::id::RunId;
 use plumbline_common::message::{Job, WIRE_VERSION};
-use plumbline_common::queue::{Broker, LocalBroker, LocalOptions, Message, Queue};
+use plumbline_common::queue::{
+    Broker, Consumer, Lease, LocalBroker, LocalOptions, Message, Queue, QueueError,
+};
 use plumbline_common::store::{DirStore, ObjectKey, ObjectMeta, ObjectStore, StoreError};
 use plumbline_common::trace::TraceContext;
 use plumbline_worker::child::ComputeLimits;
@@ -53,6 +56,16 @@ impl Place {
 
     fn path(&self, name: &str) -> std::path::PathBuf {
         self.dir.path().canonicalize().unwrap().join(name)
+    }
+
+    async fn failing_store(&self, failures: u32, fails_by: FailsBy) {
+        let store = Flaky {
+            store: DirStore::new(self.path("objects")),
+            failures_left: failures.into(),
+            fails_by,
+        };
+        let fetcher = &self.options.fetcher;
+        fetcher.put_store(BUCKET, Arc::new(store)).await;
     }
 
     fn start(&self) -> Working {
@@ -258,7 +271,14 @@ async fn objects_that_will_never_be_had_are_rows_and_no_dead_letters() {
 struct Flaky {
     store: DirStore,
     failures_left: AtomicU32,
-    denies: bool,
+    fails_by: FailsBy,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum FailsBy {
+    Silence,
+    Errors,
+    Denial,
 }
 
 #[async_trait]
@@ -285,13 +305,14 @@ impl ObjectStore for Flaky {
             .failures_left
             .fetch_update(Ordering::SeqCst, Ordering::SeqCst, left);
         let object = self.store.address(&meta.key);
-        match (failing, self.denies) {
+        match (failing, self.fails_by) {
             (Err(_none_left), _) => self.store.get_range(meta, range).await,
-            (Ok(_), true) => Err(StoreError::Denied {
+            (Ok(_), FailsBy::Silence) => std::future::pending().await,
+            (Ok(_), FailsBy::Denial) => Err(StoreError::Denied {
                 object,
                 source: "request 4711".into(),
             }),
-            (Ok(_), false) => Err(StoreError::Transient {
+            (Ok(_), FailsBy::Errors) => Err(StoreError::Transient {
                 object,
                 attempts: 8,
                 source: "connection reset".into(),
@@ -315,38 +336,27 @@ impl ObjectStore for Flaky {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_out_of_reach_is_waited_for_and_given_up_in_the_end() {
     let place = Place::new().await;
-    let flaky = async |failures: u32, denies: bool| {
-        let store = Flaky {
-            store: DirStore::new(place.path("objects")),
-            failures_left: failures.into(),
-            denies,
-        };
-        place
-            .options
-            .fetcher
-            .put_store(BUCKET, Arc::new(store))
-            .await;
-    };
+    let flaky = async |failures, fails_by| place.failing_store(failures, fails_by).await;
     let working = place.start();
     // As many attempts as there are, and the last one succeeds.
-    flaky(2, false).await;
+    flaky(2, FailsBy::Errors).await;
     place.run.ask(place.job.clone()).await;
     let (result, _) = place.run.answer().await;
     assert_eq!(result.outcome.measurement.status.as_str(), "scored");
     assert_eq!(result.attempts, 3);
     assert_eq!(place.run.waiting(&Queue::Dead).await, 0);
 
-    for (denies, said) in [
+    for (fails_by, said) in [
         (
-            false,
+            FailsBy::Errors,
             "s3://bucket/a.mp4: the store did not answer, however often it was asked; score it again later",
         ),
         (
-            true,
+            FailsBy::Denial,
             "s3://bucket/a.mp4: access denied; check the credentials and what they may read there",
         ),
     ] {
-        flaky(3, denies).await;
+        flaky(3, fails_by).await;
         place.run.ask(place.job.clone()).await;
         assert_eq!(
             place.run.row().await,
@@ -360,6 +370,29 @@ async fn a_store_out_of_reach_is_waited_for_and_given_up_in_the_end() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_silent_store_does_not_hold_a_slot_for_ever() {
+    let mut place = Place::new().await;
+    place.options.compute = Compute::Children {
+        program: PROGRAM.into(),
+        limits: ComputeLimits {
+            deadline_s: 0.2,
+            ..ComputeLimits::default()
+        },
+    };
+    place.failing_store(u32::MAX, FailsBy::Silence).await;
+    let working = place.start();
+    place.run.ask(place.job.clone()).await;
+    let said = "s3://bucket/a.mp4: was not read within the time given to a video; score it again later, or raise --deadline";
+    assert_eq!(
+        place.run.row().await,
+        ("failed".to_owned(), said.to_owned())
+    );
+    assert_eq!(place.run.dead_letter().await.0, said);
+    working.stopped(Stop::Drain).await;
+    place.assert_nothing_waits().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_deadline_and_a_child_that_always_dies_are_a_row_and_a_dead_letter() {
     let children = |program: &str, deadline_s| Compute::Children {
         program: program.into(),
@@ -369,6 +402,8 @@ async fn a_deadline_and_a_child_that_always_dies_are_a_row_and_a_dead_letter() {
         },
     };
     let mut place = Place::new().await;
+    place.options.files = Some(place.path("objects"));
+    let job = file_job("a", &place.path("objects/a.mp4"));
     for (compute, word, attempts, lost) in [
         (children(PROGRAM, 1e-3), "not measured within 0.001 s", 1, 1),
         (
@@ -380,7 +415,7 @@ async fn a_deadline_and_a_child_that_always_dies_are_a_row_and_a_dead_letter() {
     ] {
         place.options.compute = compute;
         let working = place.start();
-        place.run.ask(place.job.clone()).await;
+        place.run.ask(job.clone()).await;
         let (result, _) = place.run.answer().await;
         let row = result.outcome.measurement;
         let reason = row.status_reason.unwrap();
@@ -412,6 +447,62 @@ async fn without_a_program_for_children_the_worker_ends_and_the_job_comes_again(
             .contains("cannot start the compute process")
     );
     assert_eq!(place.run.waiting(&JOBS).await, 1);
+}
+
+/// A broker that has outlasted every wait.
+#[derive(Debug)]
+struct Gone;
+
+fn gone() -> QueueError {
+    QueueError::Unreachable {
+        broker: "amqp://somewhere".to_owned(),
+        attempts: 30,
+        source: "connection refused".into(),
+    }
+}
+
+#[async_trait]
+impl Broker for Gone {
+    async fn declare(&self, _: &Queue) -> Result<(), QueueError> {
+        Ok(())
+    }
+
+    async fn publish(&self, _: &Queue, _: Message) -> Result<(), QueueError> {
+        Err(gone())
+    }
+
+    async fn consume(&self, _: &Queue, _: u16) -> Result<Box<dyn Consumer>, QueueError> {
+        Err(gone())
+    }
+
+    async fn ready(&self, _: &Queue) -> Result<u64, QueueError> {
+        Err(gone())
+    }
+
+    async fn consumers(&self, _: &Queue) -> Result<u64, QueueError> {
+        Err(gone())
+    }
+
+    async fn delete(&self, _: &RunId) -> Result<(), QueueError> {
+        Err(gone())
+    }
+
+    async fn lease(&self, _: &RunId) -> Result<Option<Box<dyn Lease>>, QueueError> {
+        Err(gone())
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_broker_that_stays_away_ends_the_worker() {
+    let place = Place::new().await;
+    let broker: Arc<dyn Broker> = Arc::new(Gone);
+    let working = Working::start(&broker, place.options.clone());
+    assert!(
+        working
+            .failed()
+            .await
+            .contains("no answer after 30 attempts")
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

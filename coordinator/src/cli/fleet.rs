@@ -35,7 +35,7 @@ enum Action {
 
 #[derive(Debug, Args)]
 struct Where {
-    /// Broker of the fleet [default: PLUMBLINE_QUEUE__URL, or plumbline.toml: [queue] url]
+    /// Broker of the fleet [default: PLUMBLINE_QUEUE__URL, or queue.url in plumbline.toml]
     #[arg(long, value_name = "URL")]
     queue: Option<String>,
     /// Print JSON on standard output

@@ -2,14 +2,15 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use plumbline_vision::slam::intrinsics::Intrinsics;
 use plumbline_worker::fetch::Fetcher;
-use plumbline_worker::profile::{Profile, Rung};
+use plumbline_worker::profile::Profile;
 use plumbline_worker::settings::Settings;
 
 use super::Failure;
 use crate::fanout::Slots;
+use crate::profiles::{self, ProfileName};
 use crate::thresholds::{self, FaultCalibration};
 
 /// What was typed about statistics, beside how videos are computed.
@@ -17,42 +18,32 @@ use crate::thresholds::{self, FaultCalibration};
 pub(super) struct MeasuringArgs {
     #[command(flatten)]
     computing: ComputingArgs,
-    /// Leading frames left out of every statistic (frame 0 of a rollout is often a real picture)
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    conditioning_frames: u32,
-    /// Frames up to this index cannot be the paper's peak frame t*
-    #[arg(long, value_name = "T", default_value_t = 7)]
-    warmup: u32,
+    /// Leading frames left out of every statistic (frame 0 of a rollout is often a real picture) [default: the profile's, 1]
+    #[arg(long, value_name = "N")]
+    conditioning_frames: Option<u32>,
+    /// Frames up to this index cannot be the paper's peak frame t* [default: the profile's, 7]
+    #[arg(long, value_name = "T")]
+    warmup: Option<u32>,
 }
 
 /// What was typed about how videos are computed.
 #[derive(Debug, Args)]
 pub(super) struct ComputingArgs {
-    /// Rung of the speed/accuracy ladder
-    #[arg(long, value_enum, default_value = "standard")]
-    profile: RungArg,
+    /// Rung of the speed/accuracy ladder (draft, standard, accurate), or FILE.toml with changed knobs
+    #[arg(long, default_value = "standard")]
+    profile: ProfileName,
     /// Focal lengths and principal point of the camera, px of the videos as decoded [default: a view of 60 degrees]
     #[arg(long, value_name = "FX,FY,CX,CY", value_parser = parse_intrinsics)]
     intrinsics: Option<Intrinsics>,
-    /// Frames per second of directories of numbered images
-    #[arg(long, value_name = "FPS", default_value_t = 10.0)]
-    sequence_fps: f64,
+    /// Frames per second of directories of numbered images [default: the profile's, 10]
+    #[arg(long, value_name = "FPS")]
+    sequence_fps: Option<f64>,
     /// Wall time for one video, seconds
     #[arg(long, value_name = "SECONDS")]
     deadline: Option<f64>,
     /// Memory of one compute process, MiB
     #[arg(long, value_name = "MIB")]
     memory: Option<u64>,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum RungArg {
-    /// 128 px, coarse flow: triage
-    Draft,
-    /// 256 px: overnight
-    Standard,
-    /// 512 px, finest flow: decisions
-    Accurate,
 }
 
 /// Thresholds in place of the profile's own.
@@ -106,8 +97,11 @@ impl MeasuringArgs {
     /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
     pub(super) fn usable(self, jobs: Option<u16>) -> Result<Measuring, Failure> {
         let mut measuring = self.computing.usable(jobs)?;
-        measuring.profile.conditioning_frames = self.conditioning_frames;
-        measuring.profile.warmup_frames = self.warmup;
+        let profile = &mut measuring.profile;
+        profile.conditioning_frames = self
+            .conditioning_frames
+            .unwrap_or(profile.conditioning_frames);
+        profile.warmup_frames = self.warmup.unwrap_or(profile.warmup_frames);
         Ok(measuring)
     }
 }
@@ -123,26 +117,24 @@ impl ComputingArgs {
             settings.compute.memory_mib = memory_mib;
         }
         settings.validate().map_err(Failure::usage)?;
-        if !(self.sequence_fps.is_finite() && self.sequence_fps > 0.0) {
+        let mut profile =
+            profiles::load(&self.profile, &settings.decode).map_err(Failure::usage)?;
+        profile.intrinsics = self.intrinsics.or(profile.intrinsics);
+        profile.sequence_fps = self.sequence_fps.unwrap_or(profile.sequence_fps);
+        if !(profile.sequence_fps.is_finite() && profile.sequence_fps > 0.0) {
             return Err(Failure::usage("--sequence-fps must be above 0"));
         }
-        let mut profile = Profile::new(match self.profile {
-            RungArg::Draft => Rung::Draft,
-            RungArg::Standard => Rung::Standard,
-            RungArg::Accurate => Rung::Accurate,
-        });
-        profile.intrinsics = self.intrinsics;
-        profile.sequence_fps = self.sequence_fps;
-        profile.limits = settings.decode;
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Ok(Measuring {
-            profile,
-            slots: Slots {
-                program: std::env::current_exe().map_err(Failure::stopped)?,
-                count: jobs.map_or(cores, usize::from),
-                limits: settings.compute,
-                fetcher: Fetcher::new(settings.store.s3_options(), std::env::temp_dir()),
-            },
-        })
+        let slots = Slots {
+            program: std::env::current_exe().map_err(Failure::stopped)?,
+            count: jobs.map_or(cores, usize::from),
+            limits: settings.compute,
+            fetcher: Fetcher::new(settings.store.s3_options(), std::env::temp_dir()),
+        };
+        if let ProfileName::File(path) = &self.profile {
+            let tried = super::runtime()?.block_on(profiles::tried(&profile, &slots));
+            tried.map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
+        }
+        Ok(Measuring { profile, slots })
     }
 }

@@ -6,6 +6,7 @@ mod fleet;
 mod flow;
 mod judge;
 mod measuring;
+mod profile;
 mod queue;
 mod reduce;
 mod reducing;
@@ -57,6 +58,7 @@ enum Command {
     Fleet(fleet::FleetArgs),
     Flow(flow::FlowArgs),
     Judge(Box<judge::JudgeArgs>),
+    Profile(profile::ProfileArgs),
     Reference(reference::ReferenceArgs),
     Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
@@ -81,6 +83,7 @@ pub fn main() -> ExitCode {
         Command::Fleet(args) => fleet::run(args),
         Command::Flow(args) => flow::run(&args),
         Command::Judge(args) => judge::run(*args),
+        Command::Profile(args) => profile::run(args),
         Command::Reference(args) => reference::run(args),
         Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),

@@ -14,7 +14,7 @@ use crate::fleet::FleetOptions;
 #[derive(Debug, Args)]
 pub(super) struct BrokerArgs {
     /// Broker of the fleet, amqp://USER:PASSWORD@HOST:PORT/VHOST or amqps://; without URL the one of
-    /// PLUMBLINE_QUEUE__URL or plumbline.toml ([queue] url), where other users of the machine cannot see the password
+    /// PLUMBLINE_QUEUE__URL or queue.url in plumbline.toml, where other users of the machine cannot see the password
     #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "")]
     queue: Option<String>,
 }

@@ -37,7 +37,7 @@ impl Story<'_> {
             "plumbline_version": env!("CARGO_PKG_VERSION"),
             "video": self.entry.video,
             "profile": {
-                "name": self.options.profile.rung.as_str(),
+                "name": self.options.profile.name(),
                 "digest": self.options.profile.digest()?,
             },
             "fault_calibration": self.options.fault_calibration,

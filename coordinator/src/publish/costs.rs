@@ -1,5 +1,5 @@
 //! `costs.*`: what each measurement cost. Differs from run to run, hence apart from the scores.
-//! Times are wall seconds.
+//! Times are wall seconds, but for `cpu_s`.
 
 use plumbline_common::id::VideoId;
 use plumbline_common::row::Cost;
@@ -26,6 +26,7 @@ pub fn cost_columns() -> Vec<Column<CostRow>> {
     vec![
         Column::field("video", Text, |r| r.video.as_str().into()),
         Column::field("total_s", Float64, |r| r.cost.total_s.into()),
+        Column::field("cpu_s", Float64, |r| r.cost.cpu_s.into()),
         Column::field("fetch_s", Float64, |r| r.cost.fetch_s.into()),
         Column::field("decode_s", Float64, |r| r.cost.decode_s.into()),
         Column::field("flow_s", Float64, |r| r.cost.flow_s.into()),

@@ -1,6 +1,6 @@
 //! The columns of rows in files: ours by name, every other one carried through.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use arrow_array::{Array, ArrayRef, RecordBatch, RecordBatchOptions, new_null_array};
@@ -8,6 +8,7 @@ use arrow_cast::{CastOptions, cast_with_options};
 use arrow_schema::{DataType, Field, Schema, SchemaRef};
 
 use super::error::ReduceFilesError;
+use super::table::Table;
 use crate::publish::encode::data_type;
 use crate::publish::scores::score_columns;
 use crate::publish::table::{Kind, Seen};
@@ -27,6 +28,9 @@ const MADE: [&str; 12] = [
     "reward",
     "recipe",
 ];
+
+/// Columns that are made where the rows have none.
+const NEEDED: [&str; 3] = ["video", "status", "status_reason"];
 
 /// One column of the rows as they are read.
 #[derive(Debug, Clone, PartialEq)]
@@ -130,6 +134,23 @@ impl Columns {
         names.filter(|name| !MADE.contains(name)).collect()
     }
 
+    /// Those of [`Self::read`] that any table has, and those that a row must have: the others need not
+    /// be moved.
+    pub(super) fn in_any(&self, tables: &[Table]) -> Vec<&str> {
+        let there = |name: &&str| {
+            let mut schemas = tables.iter().map(Table::schema);
+            NEEDED.contains(name) || schemas.any(|schema| schema.column_with_name(name).is_some())
+        };
+        self.read().into_iter().filter(there).collect()
+    }
+
+    /// The schema of what [`Self::conform`] makes.
+    pub(super) fn schema_of(&self, names: &[&str]) -> SchemaRef {
+        let fields = self.schema.fields().iter();
+        let named = fields.filter(|field| names.contains(&field.name().as_str()));
+        Arc::new(Schema::new(named.cloned().collect::<Vec<_>>()))
+    }
+
     /// A batch as a file has it, with these columns in our types; nulls where the file has none.
     pub(super) fn conform(
         &self,
@@ -137,24 +158,15 @@ impl Columns {
         names: &[&str],
         file: &str,
     ) -> Result<RecordBatch, ReduceFilesError> {
-        let wanted: BTreeSet<&str> = names.iter().copied().collect();
-        let mut fields = Vec::with_capacity(names.len());
-        let mut arrays: Vec<ArrayRef> = Vec::with_capacity(names.len());
-        for field in self
-            .schema
-            .fields()
-            .iter()
-            .filter(|field| wanted.contains(field.name().as_str()))
-        {
-            let array = match batch.column_by_name(field.name()) {
-                None => new_null_array(field.data_type(), batch.num_rows()),
-                Some(array) => cast(array, field, file)?,
-            };
-            fields.push(Arc::clone(field));
-            arrays.push(array);
-        }
+        let schema = self.schema_of(names);
+        let fields = schema.fields().iter();
+        let arrays = fields.map(|field| match batch.column_by_name(field.name()) {
+            None => Ok(new_null_array(field.data_type(), batch.num_rows())),
+            Some(array) => cast(array, field, file),
+        });
+        let arrays = arrays.collect::<Result<Vec<_>, _>>()?;
         let options = RecordBatchOptions::new().with_row_count(Some(batch.num_rows()));
-        RecordBatch::try_new_with_options(Arc::new(Schema::new(fields)), arrays, &options)
+        RecordBatch::try_new_with_options(schema, arrays, &options)
             .map_err(|error| ReduceFilesError::source(file, error))
     }
 }

@@ -45,6 +45,6 @@ pub fn freeze(
     })?;
     Ok((
         frozen,
-        beside(&files, &intake).and_then(|corpus| corpus.profile),
+        beside(&files, intake.profile_digest.as_ref()).and_then(|corpus| corpus.profile),
     ))
 }

@@ -7,16 +7,18 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use arrow_array::Array;
 use plumbline_common::row::Status;
 
 use super::columns::Columns;
-use super::error::{ReduceFilesError, joined};
+use super::error::ReduceFilesError;
 use super::float_file::FloatFile;
-use super::rows::{check, floats, groups, texts};
-use super::sort::videos;
-use super::table_file::{BATCH_ROWS, TableFile};
+use super::in_parallel::in_parallel;
+use super::rows::{check, groups, texts, videos};
+use super::table::Table;
+use super::table_file::BATCH_ROWS;
 use crate::corpus::GroupBy;
 use crate::reduce::recipe::{BySignal, Signal};
 use crate::reduce::reject::CHECKED_COLUMNS;
@@ -27,7 +29,7 @@ pub(super) const NO_GROUP: u32 = u32::MAX;
 /// Everything that the later passes need of the rows, by row index.
 #[derive(Debug)]
 pub(super) struct Intake {
-    pub(super) tables: Vec<TableFile>,
+    pub(super) tables: Vec<Table>,
     pub(super) rows: u64,
     pub(super) scored: u64,
     /// NaN where a row is not scored or lacks the signal.
@@ -92,12 +94,12 @@ pub(super) enum Taken {
     /// Rows in order.
     Ordered(Box<Intake>),
     /// The tables have to be sorted first.
-    Unordered(Vec<TableFile>),
+    Unordered(Vec<Table>),
 }
 
 /// Takes all rows in.
 pub(super) fn take_in(
-    mut tables: Vec<TableFile>,
+    mut tables: Vec<Table>,
     columns: &Columns,
     group_by: Option<&GroupBy>,
     scratch: &Path,
@@ -126,38 +128,33 @@ pub(super) fn take_in(
     let group_file = tempfile::tempfile_in(scratch)?;
     let names = names_to_read(columns, group_by);
 
-    work.reverse();
-    let queue = Mutex::new(work);
     let shared = Mutex::new(Shared::default());
-    std::thread::scope(|scope| {
-        let one = || -> Result<(), ReduceFilesError> {
-            loop {
-                let next = queue.lock().map_err(|_| ReduceFilesError::Thread)?.pop();
-                let Some(work) = next else { return Ok(()) };
-                let taken = Taking {
-                    table: &tables[work.table],
-                    columns,
-                    names: &names,
-                    group_by,
-                    signals: &signals,
-                    group_file: &group_file,
-                    shared: &shared,
-                };
-                let ascending = taken.row_group(&work);
-                if !matches!(ascending, Ok(true)) {
-                    // Nothing is left to find: rows that are not in order are taken in again, sorted.
-                    queue.lock().map_err(|_| ReduceFilesError::Thread)?.clear();
-                }
-                ascending?;
+    // Set where nothing is left to find: rows that are not in order are taken in again, sorted.
+    let unordered = AtomicBool::new(false);
+    in_parallel(
+        work,
+        threads,
+        || (),
+        |(), work| {
+            if unordered.load(Ordering::Relaxed) {
+                return Ok(());
             }
-        };
-        let others: Vec<_> = (1..threads.max(1)).map(|_| scope.spawn(one)).collect();
-        let own = one();
-        others
-            .into_iter()
-            .map(|other| joined(other.join()))
-            .fold(own, Result::and)
-    })?;
+            let taken = Taking {
+                table: &tables[work.table],
+                columns,
+                names: &names,
+                group_by,
+                signals: &signals,
+                group_file: &group_file,
+                shared: &shared,
+            };
+            if !taken.row_group(&work)? {
+                unordered.store(true, Ordering::Relaxed);
+            }
+            Ok(())
+        },
+        |()| Ok(()),
+    )?;
     let shared = shared.into_inner().map_err(|_| ReduceFilesError::Thread)?;
     if !in_order(&shared.spans)? {
         return Ok(Taken::Unordered(tables));
@@ -185,7 +182,10 @@ pub(super) fn take_in(
 }
 
 /// Tables by their first row: parts of one run that are in order need no sorting.
-fn sort_tables(tables: &mut [TableFile]) -> Result<(), ReduceFilesError> {
+fn sort_tables(tables: &mut [Table]) -> Result<(), ReduceFilesError> {
+    if tables.len() == 1 {
+        return Ok(());
+    }
     let mut firsts = HashMap::new();
     for table in tables.iter() {
         if let Some(batch) = table.read(&["video"], None, 1)?.next() {
@@ -193,14 +193,14 @@ fn sort_tables(tables: &mut [TableFile]) -> Result<(), ReduceFilesError> {
             let first = texts(&batch, "video")
                 .filter(|v| v.is_valid(0))
                 .map(|v| v.value(0).to_owned());
-            firsts.insert(table.name.clone(), first);
+            firsts.insert(table.name().to_owned(), first);
         }
     }
     tables.sort_by(|a, b| {
         firsts
-            .get(&a.name)
-            .cmp(&firsts.get(&b.name))
-            .then(a.name.cmp(&b.name))
+            .get(a.name())
+            .cmp(&firsts.get(b.name()))
+            .then(a.name().cmp(b.name()))
     });
     Ok(())
 }
@@ -238,7 +238,7 @@ fn in_order(spans: &BTreeMap<u64, Span>) -> Result<bool, ReduceFilesError> {
 }
 
 struct Taking<'a> {
-    table: &'a TableFile,
+    table: &'a Table,
     columns: &'a Columns,
     names: &'a [&'a str],
     group_by: Option<&'a GroupBy>,
@@ -250,7 +250,7 @@ struct Taking<'a> {
 impl Taking<'_> {
     /// Takes one row group in; says whether its rows are in order.
     fn row_group(&self, work: &Work) -> Result<bool, ReduceFilesError> {
-        let file = &self.table.name;
+        let file = self.table.name();
         let mut row = work.first_row;
         let mut span = Span {
             ascending: true,
@@ -273,25 +273,8 @@ impl Taking<'_> {
                 names.value(0).clone_into(&mut span.first);
             }
             span.last = last.to_owned();
-            let mut values = vec![f64::NAN; batch.num_rows()];
-            let scored: Vec<bool> = checked
-                .statuses
-                .iter()
-                .map(|&status| status == Status::Scored)
-                .collect();
             for signal in Signal::ALL {
-                match floats(batch, signal.column()) {
-                    None => values.fill(f64::NAN),
-                    Some(column) => {
-                        let found = column.values().iter().zip(&scored).enumerate();
-                        for ((k, (&value, &scored)), out) in found.zip(&mut values) {
-                            let there = scored && column.is_valid(k);
-                            // + 0 turns −0 into 0.
-                            *out = if there { value + 0.0 } else { f64::NAN };
-                        }
-                    }
-                }
-                self.signals[signal].write(row, &values)?;
+                self.signals[signal].write(row, &checked.signal(signal))?;
             }
             let groups = groups(batch, self.group_by, file)?;
             self.share(row, &checked, groups.as_ref())?;

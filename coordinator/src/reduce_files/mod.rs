@@ -1,7 +1,7 @@
 //! `plumbline reduce`: the reduce over rows in files, in memory that does not grow with them.
 //!
 //! The statistics are those of `reduce`, gone through over scratch files (`float_file`) instead of
-//! vectors. Passes over the rows: take in (signals, groups, order), sort if need be, write out. In
+//! vectors. Passes over the rows: sort by name if need be (`sorted`), take in (signals, groups), write out. In
 //! between everything works on 8 bytes per row and signal. Memory grows with the number of groups
 //! alone, since each has statistics of its own in `corpus.json` (and of episodes, where rows have an
 //! `episode_index`). Same bits for any order of rows, any split into parts, any number of threads.
@@ -11,21 +11,26 @@ mod columns;
 pub mod error;
 mod float_file;
 pub mod freeze;
+mod in_parallel;
 mod intake;
+mod names;
 mod output;
 mod parts;
 mod paths;
 mod places;
 mod rows;
 mod scoring;
-mod sort;
+mod sorted;
+mod table;
 mod table_file;
 #[cfg(test)]
 mod tests;
 mod trainer_lists;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
 use arrow_array::Array;
 
@@ -42,22 +47,26 @@ use crate::reduce::sensitivity::{self, sensitivity};
 use crate::run::STATE_DIRECTORY;
 use columns::Columns;
 pub use error::ReduceFilesError;
+use float_file::shares;
+use in_parallel::in_parallel;
 use intake::{Intake, Taken, take_in};
 use output::Completion;
 pub(crate) use parts::files;
 use paths::Paths;
 use places::Places;
 use scoring::Yardsticks;
+use sorted::sorted;
+use table::Table;
 
 /// What is held in memory at a time; results do not depend on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Budget {
-    /// Rows whose scores are sorted together, 24 bytes each.
+    /// Rows whose scores are sorted together, 24 bytes each; two such sections are held.
     pub section_rows: u64,
     /// Rows of groups that are surveyed together, 64 bytes each.
     pub bucket_rows: u64,
     /// Bytes of rows that are sorted by name together.
-    pub run_bytes: usize,
+    pub bucket_bytes: usize,
 }
 
 impl Default for Budget {
@@ -65,7 +74,7 @@ impl Default for Budget {
         Self {
             section_rows: 1 << 20,
             bucket_rows: 1 << 20,
-            run_bytes: 64 << 20,
+            bucket_bytes: 16 << 20,
         }
     }
 }
@@ -133,7 +142,7 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
         // Its weights do not depend on these rows.
         Some(_) => None,
         None => {
-            let left_out = left_out(&intake, &corpus)?;
+            let left_out = left_out(&intake, &corpus, options.threads)?;
             let (bins, range) = (reduced.bins, reduced.range);
             sensitivity(&corpus, &intake.signals, &left_out, bins, range)?
         }
@@ -149,8 +158,24 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
         options.budget.section_rows,
     )?;
 
+    let reference = reduced.reference.as_deref();
+    let comparison = reference
+        .map(|reference| reference.compare(reduced.recipe, &intake.signals, &anomalies))
+        .transpose()?;
+    let Intake {
+        tables,
+        rows,
+        signals,
+        groups: group_file,
+        profile_digest,
+        ..
+    } = *intake;
+    // The last pass has them at hand in the rows: their scratch files need not outlive this.
+    drop(signals);
+
     let completion = Completion {
-        intake: &intake,
+        tables: &tables,
+        groups: group_file.as_ref(),
         columns: &columns,
         yardsticks: &yardsticks,
         anomalies: &anomalies,
@@ -171,17 +196,13 @@ pub fn reduce_files(options: &ReduceFilesOptions) -> Result<ReducedFiles, Reduce
         .into_iter()
         .map(|(name, group)| (name, group.population))
         .collect();
-    let reference = reduced.reference.as_deref();
-    let comparison = reference
-        .map(|reference| reference.compare(reduced.recipe, &intake.signals, &anomalies))
-        .transpose()?;
     let statistics = tally.statistics(corpus.population, groups, fragility, comparison, reduced);
-    let bytes = corpus_json(&corpus_file(&files, &intake, statistics.clone()))?;
+    let bytes = corpus_json(&corpus_file(&files, profile_digest, statistics.clone()))?;
     out.put_atomic(CORPUS_FILE, &bytes)?;
     files_written.push(publish::CORPUS_FILE.to_owned());
     Ok(ReducedFiles {
         files: files_written,
-        rows: intake.rows,
+        rows,
         statistics,
     })
 }
@@ -206,8 +227,11 @@ fn all_in_order(
     let intake = match take_in(tables, &columns, group_by, scratch, options.threads)? {
         Taken::Ordered(intake) => intake,
         Taken::Unordered(tables) => {
-            let sorted = sort::sorted(&tables, &columns, scratch, options.budget.run_bytes)?;
-            match take_in(vec![sorted], &columns, group_by, scratch, options.threads)? {
+            let bucket_bytes = options.budget.bucket_bytes;
+            let sorted = sorted(&tables, &columns, scratch, bucket_bytes, options.threads)?;
+            drop(tables);
+            let sorted = vec![Table::Sorted(sorted)];
+            match take_in(sorted, &columns, group_by, scratch, options.threads)? {
                 Taken::Ordered(intake) => intake,
                 // Sorting has put them in order; this cannot be.
                 Taken::Unordered(_) => return Err(ReduceFilesError::Thread),
@@ -252,23 +276,40 @@ fn refuse_own_source(files: &[PathBuf], out: &Path) -> Result<(), ReduceFilesErr
 }
 
 /// The rows whose absence the weights are tried with, by name.
-fn left_out(intake: &Intake, corpus: &Surveyed) -> Result<Vec<sensitivity::Row>, ReduceFilesError> {
+fn left_out(
+    intake: &Intake,
+    corpus: &Surveyed,
+    threads: usize,
+) -> Result<Vec<sensitivity::Row>, ReduceFilesError> {
     let [a, b] = PAPER.map(|signal| &intake.signals[signal]);
-    let mut found: BTreeMap<u64, sensitivity::Row> = BTreeMap::new();
-    let mut others = Vec::new();
-    let mut bytes = Vec::new();
-    a.pieces(0..intake.rows, |first, piece| {
-        others.resize(piece.len(), f64::NAN);
-        b.read(first, &mut others, &mut bytes)?;
-        for ((row, &a), &b) in (first..).zip(piece.iter()).zip(&others) {
-            let values = [a, b].map(|value| Some(value).filter(|value| !value.is_nan()));
-            if sensitivity::is_left_out(corpus, &values) {
-                let video = String::new();
-                found.insert(row, sensitivity::Row { video, values });
+    let found = Mutex::new(BTreeMap::new());
+    let look_through = |rows| {
+        let mut others = Vec::new();
+        let mut bytes = Vec::new();
+        a.pieces(rows, |first, piece| {
+            others.resize(piece.len(), f64::NAN);
+            b.read(first, &mut others, &mut bytes)?;
+            for ((row, &a), &b) in (first..).zip(piece.iter()).zip(&others) {
+                let values = [a, b].map(|value| Some(value).filter(|value| !value.is_nan()));
+                if sensitivity::is_left_out(corpus, &values) {
+                    let video = String::new();
+                    let row_left_out = sensitivity::Row { video, values };
+                    let mut found = found.lock().map_err(|_| io::ErrorKind::Other)?;
+                    found.insert(row, row_left_out);
+                }
             }
-        }
-        Ok(())
-    })?;
+            Ok(())
+        })
+    };
+    in_parallel(
+        shares(intake.rows, threads),
+        threads,
+        || (),
+        |(), rows| Ok(look_through(rows)?),
+        |()| Ok(()),
+    )?;
+    let mut found: BTreeMap<u64, sensitivity::Row> =
+        found.into_inner().map_err(|_| ReduceFilesError::Thread)?;
     let mut first = 0;
     for table in &intake.tables {
         for (row_group, rows) in table.row_groups().into_iter().enumerate() {
@@ -298,18 +339,21 @@ fn left_out(intake: &Intake, corpus: &Surveyed) -> Result<Vec<sensitivity::Row>,
 
 /// The `corpus.json` of the run that the rows come from, where it lies beside them and speaks of the
 /// same profile.
-fn beside(files: &[PathBuf], intake: &Intake) -> Option<CorpusFile> {
-    let digest = intake.profile_digest.as_ref();
+fn beside(files: &[PathBuf], profile_digest: Option<&String>) -> Option<CorpusFile> {
     files
         .iter()
         .filter_map(|file| std::fs::read(file.with_file_name(CORPUS_FILE)).ok())
         .filter_map(|bytes| serde_json::from_slice::<CorpusFile>(&bytes).ok())
-        .find(|corpus| corpus.profile.as_ref().map(|profile| &profile.digest) == digest)
+        .find(|corpus| corpus.profile.as_ref().map(|profile| &profile.digest) == profile_digest)
 }
 
 /// `corpus.json`: profile and source are those of the run that the rows come from, where that is known.
-fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics) -> CorpusFile {
-    match beside(files, intake) {
+fn corpus_file(
+    files: &[PathBuf],
+    profile_digest: Option<String>,
+    statistics: CorpusStatistics,
+) -> CorpusFile {
+    match beside(files, profile_digest.as_ref()) {
         Some(corpus) => CorpusFile {
             plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
             statistics,
@@ -318,7 +362,7 @@ fn corpus_file(files: &[PathBuf], intake: &Intake, statistics: CorpusStatistics)
         None => CorpusFile {
             plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
             source: Vec::new(),
-            profile: intake.profile_digest.clone().map(|digest| ProfileRecord {
+            profile: profile_digest.map(|digest| ProfileRecord {
                 name: None,
                 digest,
                 parameters: serde_json::Value::Null,

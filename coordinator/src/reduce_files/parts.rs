@@ -11,6 +11,7 @@ use serde_json::{Map, Value};
 
 use super::columns::{CarriedSeen, Columns, carried_of, own_columns};
 use super::error::ReduceFilesError;
+use super::table::Table;
 use super::table_file::{BATCH_ROWS, TableFile};
 use crate::publish::encode::Format;
 use crate::publish::encode::batches::BatchWriter;
@@ -71,7 +72,7 @@ fn format_of(path: &Path) -> Option<Format> {
 pub(super) fn open(
     files: &[PathBuf],
     scratch: &Path,
-) -> Result<(Vec<TableFile>, Columns), ReduceFilesError> {
+) -> Result<(Vec<Table>, Columns), ReduceFilesError> {
     let own = own_columns();
     let mut tables = Vec::new();
     let mut texts = Vec::new();
@@ -86,7 +87,7 @@ pub(super) fn open(
                 }
                 if table.rows() > 0 {
                     carried.push(carried_of(table.schema(), &own));
-                    tables.push(table);
+                    tables.push(Table::File(table));
                 }
             }
             Some(Format::Jsonl) => {
@@ -106,7 +107,7 @@ pub(super) fn open(
     }
     let columns = Columns::of(&carried);
     if !texts.is_empty() {
-        tables.push(to_parquet(&texts, &columns, scratch)?);
+        tables.push(Table::File(to_parquet(&texts, &columns, scratch)?));
     }
     Ok((tables, columns))
 }

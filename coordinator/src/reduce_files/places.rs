@@ -9,6 +9,7 @@ use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
+use std::sync::mpsc::sync_channel;
 
 use plumbline_common::row::Decision;
 
@@ -105,24 +106,48 @@ impl Places {
             bytes[16..].copy_from_slice(&place.group_rank.to_le_bytes());
             places.push((scored.row / section_rows) as usize, &bytes)
         };
-        for (k, &(start, count)) in sections.spans.iter().enumerate() {
-            if Sections::is_one_score(k) {
-                scores.read(start, count, SCORE_BYTES, |bytes| {
-                    place(scored(bytes), &mut found)
-                })?;
-                continue;
-            }
-            let mut section = Vec::with_capacity(count as usize);
-            scores.read(start, count, SCORE_BYTES, |bytes| {
-                section.push(scored(bytes));
+        std::thread::scope(|scope| {
+            // One section is sorted while the one before is placed.
+            let (sender, receiver) = sync_channel(0);
+            let (scores, spans) = (&scores, &sections.spans);
+            let sorter = scope.spawn(move || -> io::Result<()> {
+                for &(start, count) in spans.iter().step_by(2) {
+                    let mut section = Vec::with_capacity(count as usize);
+                    scores.read(start, count, SCORE_BYTES, |bytes| {
+                        section.push(scored(bytes));
+                        Ok(())
+                    })?;
+                    section.sort_unstable_by(|a, b| {
+                        a.anomaly.total_cmp(&b.anomaly).then(a.row.cmp(&b.row))
+                    });
+                    if sender.send(section).is_err() {
+                        // Whoever places has failed, and says so.
+                        break;
+                    }
+                }
                 Ok(())
-            })?;
-            section
-                .sort_unstable_by(|a, b| a.anomaly.total_cmp(&b.anomaly).then(a.row.cmp(&b.row)));
-            for scored in section {
-                place(scored, &mut found)?;
-            }
-        }
+            });
+            let mut place_all = || -> io::Result<()> {
+                for (k, &(start, count)) in spans.iter().enumerate() {
+                    if Sections::is_one_score(k) {
+                        scores.read(start, count, SCORE_BYTES, |bytes| {
+                            place(scored(bytes), &mut found)
+                        })?;
+                        continue;
+                    }
+                    // The sorter says itself why it ended early.
+                    let Ok(section) = receiver.recv() else { break };
+                    for scored in section {
+                        place(scored, &mut found)?;
+                    }
+                }
+                Ok(())
+            };
+            let placed = place_all();
+            drop(receiver);
+            sorter.join().map_err(|_| ReduceFilesError::Thread)??;
+            Ok::<_, ReduceFilesError>(placed?)
+        })?;
         let counts = places.counts();
         let places = places.finish()?;
         for (k, count) in counts.into_iter().enumerate() {

@@ -13,6 +13,7 @@ use serde_json::{Map, Value};
 
 use super::error::ReduceFilesError;
 use crate::corpus::GroupBy;
+use crate::reduce::recipe::Signal;
 use crate::reduce::reject::{CHECKED_COLUMNS, rejection};
 
 /// Statuses of a batch, with what is not a finite number turned to null and its rows to `failed`.
@@ -91,6 +92,23 @@ pub(super) fn check(batch: RecordBatch, file: &str) -> Result<Checked, ReduceFil
     })
 }
 
+impl Checked {
+    /// The values of a signal: NaN where a row is not scored or lacks it; no −0.
+    pub(super) fn signal(&self, signal: Signal) -> Vec<f64> {
+        let Some(column) = floats(&self.batch, signal.column()) else {
+            return vec![f64::NAN; self.statuses.len()];
+        };
+        let found = column.values().iter().zip(&self.statuses).enumerate();
+        found
+            .map(|(row, (&value, &status))| {
+                let there = status == Status::Scored && column.is_valid(row);
+                // + 0 turns −0 into 0.
+                if there { value + 0.0 } else { f64::NAN }
+            })
+            .collect()
+    }
+}
+
 fn statuses(batch: &RecordBatch, file: &str) -> Result<Vec<Status>, ReduceFilesError> {
     let Some(names) = texts(batch, "status") else {
         return Ok(vec![Status::Scored; batch.num_rows()]);
@@ -153,6 +171,21 @@ pub(super) fn shape_at(batch: &RecordBatch, row: usize) -> Option<(u32, u32, f64
     ))
 }
 
+/// The names of a batch.
+pub(super) fn videos<'a>(
+    batch: &'a RecordBatch,
+    file: &str,
+) -> Result<&'a StringArray, ReduceFilesError> {
+    let videos = batch
+        .column_by_name("video")
+        .and_then(|array| array.as_string_opt::<i32>());
+    let videos =
+        videos.filter(|videos| videos.null_count() == 0 && videos.iter().all(|v| v != Some("")));
+    videos.ok_or_else(|| {
+        ReduceFilesError::source(file, "the column `video` must name a video in every row")
+    })
+}
+
 /// The groups of a batch: by the rule, or as the rows have them.
 pub(super) fn groups(
     batch: &RecordBatch,
@@ -164,7 +197,7 @@ pub(super) fn groups(
             .filter(|groups| groups.null_count() < groups.len())
             .cloned());
     };
-    let videos = super::sort::videos(batch, file)?;
+    let videos = videos(batch, file)?;
     let column = match rule {
         GroupBy::Column(name) => Some(name.as_str()),
         GroupBy::Path(_) | GroupBy::Prefix(_) => None,

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use super::error::{ReduceFilesError, joined};
 use super::float_file::{FloatFile, shares};
-use super::intake::{Intake, NO_GROUP};
+use super::intake::{GroupFile, Intake, NO_GROUP};
+use super::rows::Checked;
 use crate::reduce::ReduceOptions;
 use crate::reduce::moments::{Moments, Standard};
 use crate::reduce::outcome::NormaliseWithin;
@@ -60,20 +61,33 @@ pub(super) struct Signals {
 }
 
 impl Signals {
+    /// Those of rows at hand, without their groups.
+    pub(super) fn of_rows(rows: &Checked) -> Self {
+        Self {
+            columns: BySignal::from_fn(|signal| rows.signal(signal)),
+            ..Self::default()
+        }
+    }
+
     /// Reads `rows` rows from a row on.
-    pub(super) fn read(
-        &mut self,
-        intake: &Intake,
-        row: u64,
-        rows: usize,
-    ) -> Result<(), ReduceFilesError> {
+    fn read(&mut self, intake: &Intake, row: u64, rows: usize) -> Result<(), ReduceFilesError> {
         for signal in Signal::ALL {
             self.columns[signal].resize(rows, f64::NAN);
             intake.signals[signal].read(row, &mut self.columns[signal], &mut self.bytes)?;
         }
+        self.read_groups(intake.groups.as_ref(), row, rows)
+    }
+
+    /// Reads the groups of `rows` rows from a row on.
+    pub(super) fn read_groups(
+        &mut self,
+        groups: Option<&GroupFile>,
+        row: u64,
+        rows: usize,
+    ) -> Result<(), ReduceFilesError> {
         self.groups.clear();
         self.groups.resize(rows, NO_GROUP);
-        if let Some(groups) = &intake.groups {
+        if let Some(groups) = groups {
             groups.read(row, &mut self.groups)?;
         }
         Ok(())

@@ -22,8 +22,8 @@ use super::error::ReduceFilesError;
 /// Rows per batch when columns are read.
 pub(super) const BATCH_ROWS: usize = 8192;
 
-/// Bytes read ahead of a column's pages.
-const READ_AHEAD_BYTES: usize = 1 << 16;
+/// Bytes read for the header of a page; its body is read by itself.
+const READ_AHEAD_BYTES: usize = 1 << 12;
 
 /// An open Parquet file.
 #[derive(Debug, Clone)]
@@ -157,12 +157,19 @@ struct Positioned {
     len: u64,
 }
 
-struct From {
+/// A file read on from a position.
+pub(super) struct ReadAt {
     file: Arc<File>,
     position: u64,
 }
 
-impl Read for From {
+impl ReadAt {
+    pub(super) fn new(file: Arc<File>, position: u64) -> Self {
+        Self { file, position }
+    }
+}
+
+impl Read for ReadAt {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.file.read_at(buffer, self.position)?;
         self.position += n as u64;
@@ -177,13 +184,10 @@ impl Length for Positioned {
 }
 
 impl ChunkReader for Positioned {
-    type T = BufReader<From>;
+    type T = BufReader<ReadAt>;
 
     fn get_read(&self, start: u64) -> Result<Self::T, ParquetError> {
-        let from = From {
-            file: Arc::clone(&self.file),
-            position: start,
-        };
+        let from = ReadAt::new(Arc::clone(&self.file), start);
         Ok(BufReader::with_capacity(READ_AHEAD_BYTES, from))
     }
 

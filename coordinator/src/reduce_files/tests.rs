@@ -18,7 +18,7 @@ use crate::reduce::{MeasuredVideo, reduce};
 const SMALL: Budget = Budget {
     section_rows: 7,
     bucket_rows: 11,
-    run_bytes: 4096,
+    bucket_bytes: 4096,
 };
 
 fn options(sources: &[&Path], out: &Path, reduced: &ReduceOptions) -> ReduceFilesOptions {

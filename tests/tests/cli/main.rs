@@ -26,6 +26,7 @@ mod judge;
 mod main_path;
 mod outlier;
 mod paper;
+mod profiles;
 mod reduce;
 mod reference;
 mod resume;

@@ -2,7 +2,7 @@
 //! asked for.
 
 use plumbline_tests::clips;
-use plumbline_tests::published::{names, number};
+use plumbline_tests::published::{Row, names, number};
 use plumbline_tests::run::{Place, Started};
 
 const SIX: [&str; 6] = [
@@ -77,7 +77,14 @@ fn every_video_is_scored_once_and_standard_output_stays_empty() {
     }
     let rewards = published.parquet("rewards.parquet");
     assert_eq!(names(&rewards), names(&published.rows()));
-    assert_eq!(published.jsonl("costs.jsonl").len(), 6);
+    let costs = published.jsonl("costs.jsonl");
+    assert_eq!(costs.len(), 6);
+    let spent = |row: &Row, of: &str| row[of].as_f64().is_some_and(|s| s > 0.0);
+    assert!(
+        costs
+            .iter()
+            .all(|row| spent(row, "total_s") && spent(row, "cpu_s"))
+    );
     let report = std::fs::read_to_string(published.path("report.html")).unwrap();
     assert!(
         SIX.iter().all(|video| report.contains(video)),

@@ -11,7 +11,9 @@ use crate::setup::Fleet;
 async fn a_job_past_its_deadline_is_a_row_and_a_dead_letter_and_is_measured_after_a_fix() {
     let fleet = Fleet::with_clips("dead", 3).await;
     // Seconds at this profile, on a worker that gives it half of one.
-    clips::write_long(&fleet.place.video("pick/long.mp4"), 7);
+    let once = clips::frames(&clips::spec(7));
+    let long = vec![once; 30].concat();
+    clips::write(&fleet.place.video("pick/long.mp4"), &long);
     fleet.upload().await;
     let score = || fleet.score("out", &["--queue", "--json"]);
     let mut hasty = fleet.worker("hasty", &["--deadline", "0.5"]);

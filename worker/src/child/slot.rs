@@ -53,6 +53,13 @@ impl Default for ComputeLimits {
     }
 }
 
+impl ComputeLimits {
+    /// The deadline; a time beyond all clocks is none.
+    pub(crate) fn deadline(&self) -> Duration {
+        Duration::try_from_secs_f64(self.deadline_s).unwrap_or(Duration::MAX)
+    }
+}
+
 /// A job's outcome and how often it was tried.
 #[derive(Debug)]
 pub struct Measured {
@@ -256,7 +263,7 @@ impl ComputeSlot {
             Some(running) => running,
             None => self.spawn()?,
         };
-        match tokio::time::timeout(self.deadline(), running.draw(&request, take)).await {
+        match tokio::time::timeout(self.limits.deadline(), running.draw(&request, take)).await {
             Ok(Ok(drawing)) => {
                 // Whoever stopped taking left pictures in the pipe: that child is of no more use.
                 if drawing != Drawing::Stopped {
@@ -292,7 +299,7 @@ impl ComputeSlot {
                 Some(running) => running,
                 None => self.spawn()?,
             };
-            match tokio::time::timeout(self.deadline(), running.exchange(&request)).await {
+            match tokio::time::timeout(self.limits.deadline(), running.exchange(&request)).await {
                 Ok(Ok(answer)) => {
                     self.running = Some(running);
                     return Ok((Ok(answer), attempts));
@@ -313,11 +320,6 @@ impl ComputeSlot {
             self.limits.memory_mib
         );
         Ok((Err(reason), MAX_ATTEMPTS))
-    }
-
-    /// A time beyond all clocks is no deadline.
-    fn deadline(&self) -> Duration {
-        Duration::try_from_secs_f64(self.limits.deadline_s).unwrap_or(Duration::MAX)
     }
 
     fn too_slow(&self) -> String {

@@ -126,6 +126,30 @@ impl Fetcher {
         })
     }
 
+    /// The same, given up after `limit`: a store that trickles must not hold a slot for ever.
+    ///
+    /// # Errors
+    /// As [`Self::fetch`].
+    pub async fn fetch_within(&self, job: &Job, limit: Duration) -> Result<Fetched, FetchError> {
+        let elapsed = match tokio::time::timeout(limit, self.fetch(job)).await {
+            Ok(fetched) => return fetched,
+            Err(elapsed) => elapsed,
+        };
+        let said = ReadError::NotRead {
+            object: match &job.location {
+                Location::Object(object) => object.to_string(),
+                Location::File(_) | Location::ImageSequence(_) => job.video.to_string(),
+            },
+            why: "was not read within the time given to a video; score it again later, or raise --deadline"
+                .to_owned(),
+        };
+        Err(FetchError {
+            failure: FetchFailure::Passing,
+            row: Box::new(said.row(job)),
+            source: format!("{said}: {elapsed}").into(),
+        })
+    }
+
     async fn copy(&self, job: &Job, object: &ObjectLocation) -> Result<TempPath, FetchError> {
         let ended = |error: ReadError| FetchError {
             failure: FetchFailure::Final,

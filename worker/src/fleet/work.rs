@@ -35,7 +35,11 @@ pub(super) struct Worker {
 /// Computes one job at a time.
 #[derive(Debug)]
 pub(super) enum Computer {
-    Child(Box<ComputeSlot>),
+    Child {
+        slot: Box<ComputeSlot>,
+        /// For a fetch as for a measurement.
+        deadline: Duration,
+    },
     Nobody(Duration),
 }
 
@@ -55,7 +59,10 @@ impl Worker {
             Compute::Children { program, limits } => {
                 let fetcher = self.options.fetcher.clone();
                 let slot = ComputeSlot::new(program.clone(), *limits, fetcher);
-                Computer::Child(Box::new(slot))
+                Computer::Child {
+                    slot: Box::new(slot),
+                    deadline: limits.deadline(),
+                }
             }
             Compute::Nobody { job_time } => Computer::Nobody(*job_time),
         }
@@ -151,7 +158,7 @@ impl Worker {
     }
 
     async fn compute(&self, computer: &mut Computer, job: &Job) -> Result<Happened, ServeError> {
-        let slot = match computer {
+        let (slot, deadline) = match computer {
             Computer::Nobody(job_time) => {
                 tokio::time::sleep(*job_time).await;
                 let measurement =
@@ -162,13 +169,10 @@ impl Worker {
                     answered: true,
                 })));
             }
-            Computer::Child(slot) => slot,
+            Computer::Child { slot, deadline } => (slot, *deadline),
         };
-        let fetching = self
-            .options
-            .fetcher
-            .fetch(job)
-            .instrument(info_span!("fetch"));
+        let fetching = self.options.fetcher.fetch_within(job, deadline);
+        let fetching = fetching.instrument(info_span!("fetch"));
         let fetched = match fetching.await {
             Ok(fetched) => fetched,
             Err(error) => {

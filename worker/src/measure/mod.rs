@@ -17,7 +17,7 @@ mod verdict;
 
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use plumbline_common::message::{Job, Outcome};
 use plumbline_common::row::{Cost, Measurement, Status};
@@ -84,7 +84,7 @@ pub(crate) fn measure_in_detail(
     mut view: Option<View<'_>>,
 ) -> Result<Detailed, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
-    let started = Instant::now();
+    let (started, cpu_started) = (Instant::now(), cpu_time());
     let mut clip = Clip::new(&profile);
     if let Some(view) = &mut view {
         clip.keep_views(std::mem::take(&mut view.wanted_maps));
@@ -105,6 +105,7 @@ pub(crate) fn measure_in_detail(
         Err(error) => error.row(job),
     };
     cost.total_s = started.elapsed().as_secs_f64();
+    cost.cpu_s = cpu_time().saturating_sub(cpu_started).as_secs_f64();
     cost.flow_s = clip.spent.flow.as_secs_f64();
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
@@ -124,6 +125,12 @@ pub(crate) fn measure_in_detail(
         faults: clip.take_faults(),
         worst_edge,
     })
+}
+
+/// Processor time of this process, over all threads.
+fn cpu_time() -> Duration {
+    use rustix::time::{ClockId, clock_gettime};
+    Duration::try_from(clock_gettime(ClockId::ProcessCPUTime)).unwrap_or_default()
 }
 
 /// Why a readable video gives no numbers.

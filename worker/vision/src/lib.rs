@@ -7,6 +7,7 @@ mod exp;
 pub mod faults;
 pub mod flow;
 pub mod image;
+pub mod learned;
 pub mod scene;
 pub mod signals;
 pub mod slam;

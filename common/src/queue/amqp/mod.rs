@@ -218,15 +218,14 @@ impl AmqpBroker {
 #[async_trait]
 impl Broker for AmqpBroker {
     async fn declare(&self, queue: &Queue) -> Result<(), QueueError> {
-        // The others are there since the connection.
-        let Queue::Results(_) = queue else {
-            return Ok(());
-        };
-        let name = &self.names().queue(queue);
+        let (names, waits) = (self.names(), &self.options().waits);
+        let name = &names.queue(queue);
         self.retried(&queue.to_string(), |session| async move {
             session
-                .declared_safely(name, async |channel| {
-                    topology::declare_work_queue(&channel, self.names(), queue).await
+                .declared_safely(name, async |channel| match queue {
+                    Queue::Results(_) => topology::declare_work_queue(&channel, names, queue).await,
+                    // There since the connection, unless somebody took it away.
+                    Queue::Jobs(_) | Queue::Dead => topology::declare(&channel, names, waits).await,
                 })
                 .await
         })

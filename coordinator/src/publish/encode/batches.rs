@@ -7,8 +7,10 @@
 use std::io::Write;
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{Float64Type, Int64Type, UInt32Type, UInt64Type};
-use arrow_array::{Array, ArrayRef, RecordBatch};
+use arrow_array::{
+    Array, BooleanArray, Float64Array, Int64Array, ListArray, RecordBatch, StringArray,
+    UInt32Array, UInt64Array,
+};
 use arrow_schema::{DataType, Schema, SchemaRef};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
@@ -129,13 +131,19 @@ fn properties(schema: &Schema) -> WriterProperties {
         .set_created_by(format!("plumbline {}", env!("CARGO_PKG_VERSION")));
     for field in schema.fields() {
         let name = field.name();
+        let path = ColumnPath::from(name.as_str());
         let distinct = match field.data_type() {
-            DataType::Float64 | DataType::UInt64 | DataType::Int64 => true,
+            DataType::Float64 => {
+                // The digits of a measure are noise: zstd saves 5% of them, at as much time as all
+                // else takes. Snappy passes over noise, and still folds what repeats.
+                properties = properties.set_column_compression(path.clone(), Compression::SNAPPY);
+                true
+            }
+            DataType::UInt64 | DataType::Int64 => true,
             _ => DISTINCT_TEXTS.contains(&name.as_str()),
         };
         if distinct {
-            properties =
-                properties.set_column_dictionary_enabled(ColumnPath::from(name.as_str()), false);
+            properties = properties.set_column_dictionary_enabled(path, false);
         }
     }
     properties.build()
@@ -147,23 +155,28 @@ fn write_jsonl(
     out: &mut (dyn Write + Send),
 ) -> Result<(), EncodeError> {
     let schema = batch.schema();
+    // What stands before each column that has values: its key, and whole columns of nulls before it.
     let mut columns = Vec::with_capacity(batch.num_columns());
+    let mut before = vec![b'{'];
     for (index, (field, array)) in schema.fields().iter().zip(batch.columns()).enumerate() {
-        let mut key = vec![if index == 0 { b'{' } else { b',' }];
-        serde_json::to_writer(&mut key, field.name())?;
-        key.push(b':');
-        columns.push((key, array));
-    }
-    for row in 0..batch.num_rows() {
-        for (key, array) in &columns {
-            text.extend_from_slice(key);
-            if array.is_null(row) {
-                text.extend_from_slice(b"null");
-            } else {
-                write_json(array, row, text)?;
-            }
+        if index > 0 {
+            before.push(b',');
         }
-        text.extend_from_slice(if columns.is_empty() { b"{}\n" } else { b"}\n" });
+        serde_json::to_writer(&mut before, field.name())?;
+        before.push(b':');
+        if array.null_count() == array.len() {
+            before.extend_from_slice(b"null");
+        } else {
+            columns.push((std::mem::take(&mut before), Json::of(array)));
+        }
+    }
+    before.extend_from_slice(b"}\n");
+    for row in 0..batch.num_rows() {
+        for (before, column) in &columns {
+            text.extend_from_slice(before);
+            column.write(row, text)?;
+        }
+        text.extend_from_slice(&before);
         if text.len() >= TEXT_BUFFER_BYTES {
             out.write_all(text)?;
             text.clear();
@@ -172,57 +185,89 @@ fn write_jsonl(
     Ok(())
 }
 
-/// One value that is not null.
-fn write_json(array: &ArrayRef, row: usize, text: &mut Vec<u8>) -> Result<(), EncodeError> {
-    match array.data_type() {
-        DataType::Utf8 => {
-            write_text(array.as_string::<i32>().value(row), text)?;
-        }
-        DataType::Float64 => {
-            let value = array.as_primitive::<Float64Type>().value(row);
-            // No output says NaN: it is null, as in the record writers.
-            serde_json::to_writer(text, &value.is_finite().then_some(value))?;
-        }
-        DataType::UInt64 => {
-            serde_json::to_writer(text, &array.as_primitive::<UInt64Type>().value(row))?;
-        }
-        DataType::UInt32 => {
-            serde_json::to_writer(text, &array.as_primitive::<UInt32Type>().value(row))?;
-        }
-        DataType::Int64 => {
-            serde_json::to_writer(text, &array.as_primitive::<Int64Type>().value(row))?;
-        }
-        DataType::Boolean => {
-            serde_json::to_writer(text, &array.as_boolean().value(row))?;
-        }
-        _ => {
-            let Some(list) = array.as_list_opt::<i32>() else {
-                text.extend_from_slice(b"null");
-                return Ok(());
-            };
-            let items = list.value(row);
-            for item in 0..items.len() {
-                text.push(if item == 0 { b'[' } else { b',' });
-                if items.is_null(item) {
-                    text.extend_from_slice(b"null");
-                } else {
-                    write_json(&items, item, text)?;
-                }
-            }
-            text.extend_from_slice(if items.is_empty() { b"[]" } else { b"]" });
+/// A column as JSON, its type looked up once.
+struct Json<'a> {
+    array: &'a dyn Array,
+    nulls: bool,
+    values: JsonValues<'a>,
+}
+
+enum JsonValues<'a> {
+    Text(&'a StringArray),
+    Float64(&'a Float64Array),
+    UInt64(&'a UInt64Array),
+    UInt32(&'a UInt32Array),
+    Int64(&'a Int64Array),
+    Bool(&'a BooleanArray),
+    List(&'a ListArray),
+    /// Of no type that a column of ours has.
+    Other,
+}
+
+impl<'a> Json<'a> {
+    fn of(array: &'a dyn Array) -> Self {
+        let values = match array.data_type() {
+            DataType::Utf8 => JsonValues::Text(array.as_string()),
+            DataType::Float64 => JsonValues::Float64(array.as_primitive()),
+            DataType::UInt64 => JsonValues::UInt64(array.as_primitive()),
+            DataType::UInt32 => JsonValues::UInt32(array.as_primitive()),
+            DataType::Int64 => JsonValues::Int64(array.as_primitive()),
+            DataType::Boolean => JsonValues::Bool(array.as_boolean()),
+            _ => array
+                .as_list_opt()
+                .map_or(JsonValues::Other, JsonValues::List),
+        };
+        Self {
+            array,
+            nulls: array.null_count() > 0,
+            values,
         }
     }
-    Ok(())
+
+    fn write(&self, row: usize, text: &mut Vec<u8>) -> Result<(), EncodeError> {
+        if self.nulls && self.array.is_null(row) {
+            text.extend_from_slice(b"null");
+            return Ok(());
+        }
+        match self.values {
+            JsonValues::Text(values) => write_text(values.value(row), text)?,
+            JsonValues::Float64(values) => {
+                let value = values.value(row);
+                // No output says NaN: it is null, as in the record writers.
+                serde_json::to_writer(text, &value.is_finite().then_some(value))?;
+            }
+            JsonValues::UInt64(values) => serde_json::to_writer(text, &values.value(row))?,
+            JsonValues::UInt32(values) => serde_json::to_writer(text, &values.value(row))?,
+            JsonValues::Int64(values) => serde_json::to_writer(text, &values.value(row))?,
+            JsonValues::Bool(values) => serde_json::to_writer(text, &values.value(row))?,
+            JsonValues::List(values) => {
+                let items = values.value(row);
+                let column = Json::of(&items);
+                text.push(b'[');
+                for item in 0..items.len() {
+                    if item > 0 {
+                        text.push(b',');
+                    }
+                    column.write(item, text)?;
+                }
+                text.push(b']');
+            }
+            JsonValues::Other => text.extend_from_slice(b"null"),
+        }
+        Ok(())
+    }
 }
 
 fn write_text(value: &str, text: &mut Vec<u8>) -> Result<(), EncodeError> {
-    // Names hold nothing to escape, nearly always.
-    if value.bytes().all(|b| b >= 0x20 && b != b'"' && b != b'\\') {
+    // Names hold nothing to escape, nearly always; looked at as a whole, which takes several bytes at
+    // a time.
+    let escaped = |byte: u8| (byte < 0x20) | (byte == b'"') | (byte == b'\\');
+    if value.bytes().fold(false, |any, byte| any | escaped(byte)) {
+        serde_json::to_writer(text, value)?;
+    } else {
         text.push(b'"');
         text.extend_from_slice(value.as_bytes());
         text.push(b'"');
-    } else {
-        serde_json::to_writer(text, value)?;
     }
     Ok(())
 }
@@ -232,21 +277,26 @@ fn write_csv(
     out: &mut csv::Writer<&mut (dyn Write + Send)>,
 ) -> Result<(), EncodeError> {
     let mut text = Vec::new();
+    let columns: Vec<Json<'_>> = batch
+        .columns()
+        .iter()
+        .map(|array| Json::of(array))
+        .collect();
     for row in 0..batch.num_rows() {
-        for array in batch.columns() {
-            text.clear();
-            if array.is_null(row) {
-                out.write_field(b"")?;
-            } else if let Some(texts) = array.as_string_opt::<i32>() {
-                out.write_field(texts.value(row))?;
-            } else {
-                write_json(array, row, &mut text)?;
-                out.write_field(if text == b"null" {
-                    b""
-                } else {
-                    text.as_slice()
-                })?;
+        for column in &columns {
+            if let JsonValues::Text(texts) = column.values {
+                // Null is the empty field.
+                let valid = texts.is_valid(row);
+                out.write_field(if valid { texts.value(row) } else { "" })?;
+                continue;
             }
+            text.clear();
+            column.write(row, &mut text)?;
+            out.write_field(if text == b"null" {
+                b""
+            } else {
+                text.as_slice()
+            })?;
         }
         out.write_record(None::<&[u8]>)?;
     }

@@ -34,6 +34,16 @@ pub struct FactorGraph {
 }
 
 impl FactorGraph {
+    /// An empty graph whose edges will have other names than this one's: an operator's state of an edge
+    /// does not pass to another's.
+    #[must_use]
+    pub fn emptied(&self) -> Self {
+        Self {
+            next_id: self.next_id,
+            ..Self::default()
+        }
+    }
+
     /// Whether the pair is in the graph, active or not.
     #[must_use]
     pub fn contains(&self, source: usize, target: usize) -> bool {

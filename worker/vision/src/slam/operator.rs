@@ -5,7 +5,7 @@
 //! answer step by step and keeps a state per [`EdgeId`]; a flow operator answers the same whatever the
 //! belief.
 
-/// Names an edge for as long as a graph lives.
+/// Names an edge for as long as a tracker lives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EdgeId(pub u64);
 

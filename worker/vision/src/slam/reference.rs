@@ -147,6 +147,11 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
         }
     }
 
+    /// The operator, which a frame may have to be shown to before it is pushed.
+    pub fn operator_mut(&mut self) -> &mut O {
+        &mut self.operator
+    }
+
     /// Takes the next frame.
     ///
     /// # Errors
@@ -234,7 +239,7 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
     pub fn global(&mut self, steps: usize) -> Result<MeanError, TrackError> {
         self.keyframes.normalise_scale();
         self.keyframes.store_as_f32(f64::NEG_INFINITY);
-        self.graph = FactorGraph::default();
+        self.graph = self.graph.emptied();
         let frames = self.keyframes.len();
         let proximity = Proximity {
             first_row: 0,

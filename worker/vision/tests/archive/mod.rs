@@ -4,7 +4,8 @@
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
-    reason = "what cannot be read fails the test"
+    clippy::print_stdout,
+    reason = "what cannot be read fails the test, or is said to be missing"
 )]
 
 use std::fs::File;
@@ -14,7 +15,7 @@ use std::path::Path;
 use npyz::npz::NpzArchive;
 use npyz::{DType, NpyFile, TypeChar};
 
-/// An archive of `tests/golden`.
+/// An archive of `tests/golden`, or of `../shared/golden` beside the repository.
 pub(crate) struct Archive(NpzArchive<BufReader<File>>);
 
 impl Archive {
@@ -23,6 +24,20 @@ impl Archive {
             .join("tests/golden")
             .join(name);
         Self(NpzArchive::new(BufReader::new(File::open(path).unwrap())).unwrap())
+    }
+
+    /// An archive that is too large for the repository; says so where it is not at hand.
+    pub(crate) fn shared(name: &str) -> Option<Self> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .ancestors()
+            .map(|folder| folder.join("shared/golden").join(name))
+            .find(|path| path.is_file());
+        if path.is_none() {
+            println!("skipped: no ../shared");
+        }
+        Some(Self(
+            NpzArchive::new(BufReader::new(File::open(path?).unwrap())).unwrap(),
+        ))
     }
 
     pub(crate) fn has(&mut self, key: &str) -> bool {
@@ -58,6 +73,7 @@ impl Archive {
             (TypeChar::Float, 4) => read(file, |x: f32| f64::from(x)),
             (TypeChar::Float, 8) => read(file, |x: f64| x),
             (TypeChar::Int, 2) => read(file, |x: i16| f64::from(x)),
+            (TypeChar::Uint, 1) => read(file, |x: u8| f64::from(x)),
             (TypeChar::Int, 8) => read(file, |x: i64| x as f64),
             other => panic!("{key}: {other:?}"),
         }
@@ -67,9 +83,26 @@ impl Archive {
         self.f64(key).into_iter().map(|x| x as f32).collect()
     }
 
+    pub(crate) fn bytes(&mut self, key: &str) -> Vec<u8> {
+        self.f64(key).into_iter().map(|x| x as u8).collect()
+    }
+
     pub(crate) fn indices(&mut self, key: &str) -> Vec<usize> {
         self.f64(key).into_iter().map(|x| x as usize).collect()
     }
+}
+
+/// The largest |a − b|; infinite where one is not a number.
+pub(crate) fn farthest(found: &[f32], expected: &[f32]) -> f32 {
+    assert_eq!(found.len(), expected.len());
+    let distances = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
+    distances.fold(0.0, |worst, d| {
+        if d.is_nan() {
+            f32::INFINITY
+        } else {
+            worst.max(d)
+        }
+    })
 }
 
 /// The largest |a − b| / (1 + |b|): absolute below 1, relative above.
