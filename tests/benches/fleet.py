@@ -60,7 +60,7 @@ class Workers:
             scratch = WORK / f"scratch-{index}"
             scratch.mkdir(exist_ok=True)
             log = open(WORK / f"worker-{index}.log", "ab")
-            command = [WORKER, "--queue", URL, "--name", f"w{index}", "--listen", f"127.0.0.1:{0}", "--scratch", scratch]
+            command = [WORKER, "--queue", URL, "--name", f"w{index}", "--scratch", scratch]
             self.processes.append(subprocess.Popen([*command, *self.words], env=ENV, stdout=log, stderr=log))
         time.sleep(2)
         for process in self.processes:

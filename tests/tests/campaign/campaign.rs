@@ -512,9 +512,6 @@ impl Campaign {
         }
         assert!(in_time.len() < 4 || in_time.iter().any(|id| dead.contains_key(id)));
         let seen = self.prefetches.stop();
-        for (fault, count) in self.s3_faults.injected() {
-            self.journal.note(fault, &format!("{count} requests"));
-        }
         let s3: u64 = self
             .s3_faults
             .injected()
