@@ -29,9 +29,10 @@ impl FromStr for LogFormat {
 /// Sends logs at or above `level` (a tracing directive such as `warn` or `plumbline=debug`) to
 /// standard error. A second call does nothing.
 pub fn init(level: &str, format: LogFormat) {
-    // The AMQP client warns with the whole body of a message that no queue takes, which is told anyway.
-    let filter = EnvFilter::try_new(format!("lapin=error,{level}"))
-        .unwrap_or_else(|_| EnvFilter::new("warn"));
+    // The AMQP client warns with the whole body of a message that no queue takes, and takes the question for a
+    // queue that is not there for an error; what matters reaches us as errors, too.
+    let filter =
+        EnvFilter::try_new(format!("lapin=off,{level}")).unwrap_or_else(|_| EnvFilter::new("warn"));
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr);

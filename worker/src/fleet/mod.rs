@@ -35,9 +35,10 @@ use crate::fetch::Fetcher;
 /// The queue of the jobs that are done here.
 pub const JOBS: Queue = Queue::Jobs(JobKind::Fused);
 
-/// Receivers that died with a job, or lost their connection with it, after which nobody tries it again: one
-/// may have been a machine that went, and two, but a video that takes three with it is the cause.
-pub const MAX_REDELIVERIES: u32 = 3;
+/// Receivers that died with a job, or lost their connection with it, after which nobody tries it again. The
+/// broker does not tell the two apart, and a bad night of a network loses a few connections in a row; a video
+/// that kills its compute child ends long before, as a row at once.
+pub const MAX_REDELIVERIES: u32 = 8;
 
 /// Waits between attempts to fetch an object: about ten minutes in all, a store's own attempts not counted.
 pub const FETCH_RETRIES: Backoff = Backoff {
