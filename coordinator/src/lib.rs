@@ -13,6 +13,7 @@ pub mod judge;
 mod keep;
 mod lease;
 mod measuring;
+pub mod metrics;
 mod npz;
 mod parts;
 pub mod picture;

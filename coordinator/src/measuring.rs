@@ -36,6 +36,7 @@ pub(crate) async fn collect(
     let before = keep.journal.len();
     let total = before + missing(entries, &keep.journal).len();
     let mut progress = Progress::start(total as u64, before as u64);
+    options.metrics.corpus(entries.len(), before);
     let collected = take_all(answers, options, entries, keep, &mut progress).await;
     progress.finish();
     let compute_s = collected?;
@@ -74,7 +75,9 @@ async fn take_all(
                     progress.advance(outcome.measurement.status == Status::Scored);
                 }
                 compute_s += outcome.cost.total_s;
+                let status = outcome.measurement.status;
                 keep.append(&record(&entries[index], answer, options))?;
+                options.metrics.answer(status, keep.journal.len());
                 unflushed += 1;
                 if unflushed >= flushing.answers {
                     flush(answers, keep, &mut unflushed).await?;

@@ -25,6 +25,7 @@ use crate::heat_maps::{self, HeatMaps};
 use crate::keep::Keep;
 use crate::lease::Lease;
 use crate::measuring::{self, job};
+use crate::metrics::Metrics;
 use crate::parts::{self, Parts};
 use crate::picture::PngError;
 use crate::progress::say;
@@ -72,6 +73,8 @@ pub struct ScoreOptions {
     pub slots: Slots,
     /// Who measures instead, where a fleet does.
     pub fleet: Option<FleetOptions>,
+    /// Where the run is counted.
+    pub metrics: Metrics,
 }
 
 impl ScoreOptions {

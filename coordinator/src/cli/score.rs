@@ -1,8 +1,14 @@
 //! `plumbline score`: from what was typed to a run, and from a run to an exit code.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::Args;
+
+use plumbline_common::observe::{self, Pulse};
+use prometheus_client::registry::Registry;
+use tokio::net::TcpListener;
 
 use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
 use super::queue::QueueArgs;
@@ -10,6 +16,7 @@ use super::reducing::ReducingArgs;
 use super::watching::WatchingArgs;
 use super::{Failure, exit, print_json, summary};
 use crate::corpus::{CorpusError, GroupBy};
+use crate::metrics::Metrics;
 use crate::run::{self, RunError, ScoreOptions};
 use crate::watch;
 
@@ -46,6 +53,9 @@ pub(super) struct ScoreArgs {
     resume: bool,
     #[command(flatten)]
     fleet: QueueArgs,
+    /// Address for /healthz, /readyz and /metrics while the run lasts [default: none]
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    listen: Option<SocketAddr>,
     #[command(flatten)]
     watching: WatchingArgs,
     /// Print the summary as JSON on standard output; with --watch, each row as a line when it is final
@@ -59,10 +69,14 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
     args.check_fleet(watch.is_some())?;
     let runtime = super::runtime()?;
     let fleet = runtime.block_on(args.fleet.usable())?;
+    let listen = args.listen;
     let options = ScoreOptions {
         fleet,
         ..args.into_options()?
     };
+    if let Some(address) = listen {
+        runtime.block_on(show(address, &options))?;
+    }
     let finished = runtime.block_on(async {
         match &watch {
             Some(watch) => watch::watch(&options, watch).await,
@@ -99,6 +113,21 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
             message: error.to_string(),
         }),
     }
+}
+
+/// Serves the run's figures until the runtime ends.
+async fn show(address: SocketAddr, options: &ScoreOptions) -> Result<(), Failure> {
+    let listener = TcpListener::bind(address).await.map_err(|error| {
+        Failure::usage(format!("--listen {address} is not to be had ({error})"))
+    })?;
+    let mut registry = Registry::default();
+    let metrics = options.metrics.clone();
+    metrics.register(&mut registry, options.fleet.is_some());
+    if let Some(fleet) = &options.fleet {
+        tokio::spawn(metrics.watch_queues(Arc::clone(&fleet.broker)));
+    }
+    tokio::spawn(observe::serve(listener, registry, Pulse::new(|| true)));
+    Ok(())
 }
 
 impl ScoreArgs {
@@ -143,6 +172,7 @@ impl ScoreArgs {
             heat_maps: self.heatmaps,
             slots,
             fleet: None,
+            metrics: Metrics::default(),
         })
     }
 }

@@ -252,6 +252,8 @@ impl Watching<'_> {
         let measurement = measured.outcome.measurement.clone();
         let answer = Answer::embedded(measured);
         self.journal.append(&record(&entry, answer, self.options))?;
+        let kept = self.journal.len();
+        self.options.metrics.answer(measurement.status, kept);
         self.hand_on(&entry, measurement)
     }
 
