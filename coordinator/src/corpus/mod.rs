@@ -6,6 +6,7 @@
 //! source, an unreadable directory, a duplicate name, an unknown column) is an error before any work.
 
 mod camera;
+mod files;
 mod group;
 mod list;
 mod objects;

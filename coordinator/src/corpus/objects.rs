@@ -13,7 +13,7 @@ use plumbline_common::store::{
 };
 use serde_json::{Map, Value};
 
-use super::source::is_video_name;
+use super::files::is_video_name;
 use super::{CorpusError, Entry, Ignored, list};
 
 /// Objects of a list looked up at once: enough to hide the way to the store, few enough for any store.
