@@ -118,7 +118,7 @@ impl Campaign {
         let place = Place::new();
         let name = unique();
         let prefix = format!("{name}/{CORPUS}");
-        let marker = format!("PLUMBLINE_CAMPAIGN_MARKER={name}");
+        let marker = format!("CAMPAIGN_MARKER={name}");
         let videos = runtime.block_on(put_corpus(&place, &prefix));
         assert!(videos.len() >= 500, "{}", videos.len());
         let embedded = Started::start(&mut embedded_command(&place, &prefix, "reference"));

@@ -59,15 +59,20 @@ pub(crate) async fn download(prefix: &str, into: &Path) {
     }
 }
 
+/// What the names of the campaign's queues begin with.
+const NAMESPACE: &str = "plumbline.";
+
 /// No job waits or is in work, and the run's results queue is gone.
 pub(crate) fn wait_until_idle(run: &RunId, patience: Duration) {
     let started = Instant::now();
     loop {
         let busy = queues().map(|queues| -> Vec<QueueState> {
             let left = queues.into_iter().filter(|queue| {
+                // Other tests have namespaces of their own.
+                let ours = queue.name.starts_with(NAMESPACE);
                 let holds = queue.ready + queue.unacked > 0;
                 let of_run = queue.name.ends_with(&format!("results.{run}"));
-                of_run || (holds && !queue.name.ends_with(".dead"))
+                of_run || (ours && holds && !queue.name.ends_with(".dead"))
             });
             left.collect()
         });

@@ -26,7 +26,7 @@ fn slots_bound_what_a_worker_holds_before_and_after_a_restart_of_the_broker() {
     let place = Place::new();
     let name = unique();
     let prefix = format!("{name}/{CORPUS}");
-    let marker = format!("PLUMBLINE_CAMPAIGN_MARKER={name}");
+    let marker = format!("CAMPAIGN_MARKER={name}");
     let (videos, ways) = runtime.block_on(async {
         let videos = put_corpus(&place, &prefix).await;
         let s3 = S3Faults::before(&server("PLUMBLINE_TEST_S3_ENDPOINT"), 0, 0).await;

@@ -328,3 +328,29 @@ fn a_memory_limit_costs_rows_and_not_the_run() {
         .expect_code(0)
         .expect_line(&["static: large.mp4"]);
 }
+
+/// What decodes hostile bytes knows no password.
+#[test]
+fn compute_processes_are_given_no_secrets() {
+    let place = Place::new();
+    clips::write_long(&place.video("long.mp4"), 0);
+    let mut command = place.score(&["videos", "--out", "out"]);
+    command
+        .env("AWS_SECRET_ACCESS_KEY", "hush")
+        .env("PLUMBLINE_QUEUE__URL", "amqp://me:hush@localhost")
+        .env("JUDGE_API_KEY", "hush")
+        .env("HARMLESS", "known");
+    let run = Started::start(&mut command);
+    let mut environment = Vec::new();
+    wait_until("a compute child", PATIENCE, || {
+        let child = children_of(run.pid()).first().copied();
+        let at_work = child.filter(|child| child.has_worked());
+        environment = at_work
+            .and_then(|child| std::fs::read(format!("/proc/{}/environ", child.pid)).ok())
+            .unwrap_or_default();
+        !environment.is_empty()
+    });
+    let environment = String::from_utf8_lossy(&environment);
+    assert!(environment.contains("HARMLESS=known"), "{environment}");
+    assert!(!environment.contains("hush"), "{environment}");
+}

@@ -1,5 +1,6 @@
 //! The parent's side: one child per slot, started when needed, replaced when it dies.
 
+use std::ffi::OsStr;
 use std::ops::ControlFlow;
 use std::os::unix::ffi::OsStrExt;
 use std::path::PathBuf;
@@ -31,6 +32,14 @@ pub(crate) const MAX_ATTEMPTS: u32 = 2;
 
 /// How much of a dying child's standard error is kept for the reason.
 const STDERR_TAIL_BYTES: usize = 2048;
+
+/// Whether a variable stays with the parent: its own settings, and what may be a password.
+fn is_withheld(name: &OsStr) -> bool {
+    let name = name.to_string_lossy();
+    let own = ["AWS_", "PLUMBLINE_"];
+    let secret = ["KEY", "TOKEN", "SECRET", "PASSWORD"];
+    own.iter().any(|start| name.starts_with(start)) || secret.iter().any(|part| name.contains(part))
+}
 
 /// What one video may cost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -334,7 +343,13 @@ impl ComputeSlot {
             program: self.program.clone(),
             source,
         };
+        let passed_on = std::env::vars_os().filter(|(name, _)| !is_withheld(name));
         let mut child = Command::new(&self.program)
+            // Hostile bytes are decoded there, which need know no password; and a reason holds a panic's
+            // message, not its trace.
+            .env_clear()
+            .envs(passed_on)
+            .env("RUST_BACKTRACE", "0")
             .arg(CHILD_ARGUMENT)
             .arg(MEMORY_ARGUMENT)
             .arg(self.limits.memory_mib.to_string())
