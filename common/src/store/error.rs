@@ -41,7 +41,9 @@ pub enum StoreError {
         limit: u64,
     },
     /// Still failing after every retry; later it may work.
-    #[error("{object}: no answer after {attempts} attempts ({source}); try again later")]
+    #[error(
+        "{object}: no answer after {attempts} attempts ({source}); check that the store runs and its address, then run again"
+    )]
     Transient {
         /// The object.
         object: String,

@@ -188,10 +188,7 @@ fn usage_errors_say_what_to_do_and_write_nothing() {
         (&["videos", "--out", "out", "--group-by", "task"], "path:N"),
         (&["videos", "--out", "out", "--deadline", "0"], "above 0"),
         (&["videos", "--out", "out", "--memory", "1"], "320 or more"),
-        (
-            &["s3://bucket/videos", "--out", "out"],
-            "copy the videos to a directory",
-        ),
+        (&["s3:///videos", "--out", "out"], "s3://bucket/prefix"),
     ];
     for (words, remedy) in cases {
         let ended = Started::start(&mut place.score(words))

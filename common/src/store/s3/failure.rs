@@ -1,7 +1,7 @@
 //! What a failed call means: whether another attempt may help, and the error it becomes.
 
 use aws_sdk_s3::config::http::HttpResponse;
-use aws_sdk_s3::error::{DisplayErrorContext, ProvideErrorMetadata, SdkError};
+use aws_sdk_s3::error::{ProvideErrorMetadata, SdkError};
 
 use crate::store::error::{Source, StoreError};
 
@@ -41,10 +41,9 @@ where
 {
     let status = error.raw_response().map(|answer| answer.status().as_u16());
     let code = error.code().unwrap_or_default().to_owned();
-    // The client's own text is only the kind of the failure; its context is the cause.
     let source: Source = match (error.message(), status) {
         (Some(message), Some(status)) => format!("{status} {code}: {message}").into(),
-        _ => DisplayErrorContext(&error).to_string().into(),
+        _ => with_causes(&error).into(),
     };
     if code == "NoSuchBucket" {
         return Failure::Final(source);
@@ -73,4 +72,19 @@ where
         ) => Failure::Passing(source),
         _ => Failure::Final(source),
     }
+}
+
+/// The client's own text is only the kind of the failure; the causes are behind it, each of which may hold
+/// the next one's text.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let told = error.to_string();
+        if !text.contains(&told) {
+            text = format!("{text}: {told}");
+        }
+        cause = error.source();
+    }
+    text
 }
