@@ -1,5 +1,7 @@
 //! Logs on standard error, as one subscriber set up by `main`.
 
+use std::io::IsTerminal;
+
 use std::str::FromStr;
 
 use tracing_subscriber::EnvFilter;
@@ -35,6 +37,7 @@ pub fn init(level: &str, format: LogFormat) {
         EnvFilter::try_new(format!("lapin=off,{level}")).unwrap_or_else(|_| EnvFilter::new("warn"));
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
         .with_writer(std::io::stderr);
     let _already_set = match format {
         LogFormat::Text => subscriber.with_target(false).try_init(),
