@@ -1,7 +1,6 @@
 //! Logs on standard error, as one subscriber set up by `main`.
 
 use std::io::IsTerminal;
-
 use std::str::FromStr;
 
 use tracing_subscriber::EnvFilter;
