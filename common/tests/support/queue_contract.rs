@@ -106,7 +106,20 @@ async fn no_more_than_slots_are_in_work(broker: &dyn Broker) {
     nothing_comes(&mut consumer).await;
 }
 
+/// A consumer that was dropped goes in its own time, and what comes to it meanwhile comes again.
+async fn nobody_listens(broker: &dyn Broker) {
+    let gone = async {
+        while broker.consumers(&JOBS).await.unwrap() > 0 {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(30), gone)
+        .await
+        .unwrap();
+}
+
 async fn a_stopped_consumer_gets_no_more_and_settles_what_it_has(broker: &dyn Broker) {
+    nobody_listens(broker).await;
     let mut stopped = broker.consume(&JOBS, 2).await.unwrap();
     assert!(stopped.pulse().is_alive());
     publish_all(broker, &JOBS, numbered(2), 2).await.unwrap();
@@ -126,6 +139,7 @@ async fn a_stopped_consumer_gets_no_more_and_settles_what_it_has(broker: &dyn Br
 }
 
 async fn what_a_lost_consumer_held_comes_again(broker: &dyn Broker) {
+    nobody_listens(broker).await;
     publish_all(broker, &JOBS, numbered(2), 2).await.unwrap();
     let mut first = broker.consume(&JOBS, 2).await.unwrap();
     let (a, b) = (next(&mut first).await, next(&mut first).await);
