@@ -12,28 +12,16 @@ use std::time::SystemTime;
 /// The `plumbline` of the profile that the running test was built with.
 pub fn plumbline() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
-    BINARY.get_or_init(|| {
-        find(
-            "plumbline",
-            "plumbline-coordinator",
-            "PLUMBLINE_TEST_BINARY",
-        )
-    })
+    BINARY.get_or_init(|| find("plumbline", "PLUMBLINE_TEST_BINARY"))
 }
 
 /// The `plumbline-worker` of the same.
 pub fn worker() -> &'static Path {
     static BINARY: OnceLock<PathBuf> = OnceLock::new();
-    BINARY.get_or_init(|| {
-        find(
-            "plumbline-worker",
-            "plumbline-worker",
-            "PLUMBLINE_TEST_WORKER_BINARY",
-        )
-    })
+    BINARY.get_or_init(|| find("plumbline-worker", "PLUMBLINE_TEST_WORKER_BINARY"))
 }
 
-fn find(name: &str, package: &str, variable: &str) -> PathBuf {
+fn find(name: &str, variable: &str) -> PathBuf {
     if let Some(named) = std::env::var_os(variable) {
         return PathBuf::from(named);
     }
@@ -45,7 +33,7 @@ fn find(name: &str, package: &str, variable: &str) -> PathBuf {
         .expect("tests lie in target/<profile>/deps");
     let binary = profile_directory.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
     if !is_current(&binary) {
-        build(profile_directory, package, name);
+        build(profile_directory, name);
     }
     assert!(binary.is_file(), "{} was not built", binary.display());
     binary
@@ -70,14 +58,15 @@ fn modified(path: &Path) -> Option<SystemTime> {
     path.metadata().ok()?.modified().ok()
 }
 
-fn build(profile_directory: &Path, package: &str, name: &str) {
+fn build(profile_directory: &Path, name: &str) {
     let profile = match profile_directory.file_name().and_then(OsStr::to_str) {
         Some("debug") | None => "dev",
         Some(name) => name,
     };
     let target = profile_directory.parent().expect("target/<profile>");
     let status = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .args(["build", "--quiet", "--package", package, "--bin", name])
+        // The whole workspace, or other features are chosen and half of the dependencies built anew.
+        .args(["build", "--quiet", "--workspace", "--bin", name])
         .args(["--profile", profile, "--target-dir"])
         .arg(target)
         .current_dir(env!("CARGO_MANIFEST_DIR"))

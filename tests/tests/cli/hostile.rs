@@ -312,12 +312,12 @@ fn a_passed_deadline_is_a_failed_row_that_is_tried_again() {
 fn a_clip_that_is_too_slow_costs_its_own_row() {
     let place = Place::with_clips(3);
     clips::write_long(&place.video("long.mp4"), 0);
-    // Ten times what a short clip takes at `standard`, and a tenth of the long one.
-    let words = ["--deadline", "2", "--jobs", "1"];
+    // Twenty times what a short clip takes at `standard`, and a fraction of the long one.
+    let words = ["--deadline", "4", "--jobs", "1"];
     Started::start(place.score(&["videos", "--out", "out"]).args(words))
         .wait()
         .expect_code(3)
-        .expect_line(&["failed: long.mp4: not measured within 2 s"]);
+        .expect_line(&["failed: long.mp4: not measured within 4 s"]);
     let published = place.published("out");
     published.expect_whole(&["clip-00.mp4", "clip-01.mp4", "clip-02.mp4", "long.mp4"]);
     assert_eq!(published.corpus()["statuses"]["failed"], 1);
