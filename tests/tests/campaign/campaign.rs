@@ -16,7 +16,7 @@ use plumbline_tests::process::{Process, wait_until};
 use plumbline_tests::proxy::{Break, Pace};
 use plumbline_tests::run::{Place, Started};
 use plumbline_tests::s3_faults::S3Faults;
-use plumbline_tests::servers::{Server, queues, server};
+use plumbline_tests::servers::{Server, server};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use tokio::runtime::Runtime;
@@ -192,7 +192,7 @@ impl Campaign {
         };
         let started = Instant::now();
         let mut coordinator = self.start_coordinator(&name, &out, number);
-        let run = self.run_id(&name);
+        let run = self.run_id(&name, &out, &mut coordinator);
         let faults_before = self.journal.faults();
         let mut next_fault = Instant::now() + Duration::from_millis(self.below(1500));
         let code = loop {
@@ -238,18 +238,21 @@ impl Campaign {
         );
     }
 
-    /// What the coordinator calls the run: its name and a digest of what it measures, as the queue of its
-    /// results says.
-    fn run_id(&mut self, name: &str) -> RunId {
+    /// What the coordinator calls the run: its name and a digest of what it measures, which the first run
+    /// notes in its directory.
+    fn run_id(&mut self, name: &str, out: &str, coordinator: &mut Daemon) -> RunId {
         if self.digest.is_empty() {
-            let queue = format!("plumbline.results.{name}-");
-            wait_until("a results queue", PATIENCE, || {
-                let queues = queues().unwrap();
-                let mut digests = queues
-                    .iter()
-                    .filter_map(|state| state.name.strip_prefix(&queue));
-                digests
-                    .next()
+            let noted = self.place.path(out).join(".plumbline/run");
+            wait_until("the run's name", PATIENCE, || {
+                let ended = coordinator.ended();
+                assert!(
+                    ended.is_none() || noted.exists(),
+                    "{ended:?}: {}",
+                    coordinator.last_words()
+                );
+                let run = std::fs::read_to_string(&noted).unwrap_or_default();
+                let digest = run.trim_end().strip_prefix(&format!("{name}-"));
+                digest
                     .map(|digest| self.digest = digest.to_owned())
                     .is_some()
             });
