@@ -257,19 +257,8 @@ impl Read for ReadAt<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::corpus::file_entry as entry;
     use plumbline_common::row::{Cost, Measurement};
-
-    fn entry(name: &str) -> Entry {
-        Entry {
-            video: VideoId::new(name).unwrap(),
-            location: Location::File(name.into()),
-            bytes: Some(3),
-            modified_ns: Some(5),
-            problem: None,
-            group: None,
-            carried: serde_json::Map::new(),
-        }
-    }
 
     fn record(name: &str, status: Status) -> Record {
         let entry = entry(name);

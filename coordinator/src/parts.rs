@@ -207,22 +207,10 @@ fn records(part: Vec<u8>) -> Result<Vec<Vec<u8>>, String> {
 mod tests {
     use super::*;
     use crate::collect::Journal;
-    use plumbline_common::id::VideoId;
-    use plumbline_common::message::{Location, Outcome};
+    use crate::corpus::file_entry as entry;
+    use plumbline_common::message::Outcome;
     use plumbline_common::row::{Cost, Measurement, Status};
     use plumbline_common::store::DirStore;
-
-    fn entry(name: &str) -> Entry {
-        Entry {
-            video: VideoId::new(name).unwrap(),
-            location: Location::File(name.into()),
-            bytes: Some(3),
-            modified_ns: Some(5),
-            problem: None,
-            group: None,
-            carried: serde_json::Map::new(),
-        }
-    }
 
     fn record(name: &str) -> Record {
         let mut measurement = Measurement::without_score(Status::Static, "why");

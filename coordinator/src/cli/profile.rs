@@ -3,11 +3,11 @@
 use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use plumbline_worker::profile::{Profile, Rung};
+use plumbline_worker::settings::Settings;
 use serde_json::{Value, json};
 
 use super::{Failure, exit, print_line};
 use crate::profiles::{self, ProfileName};
-use plumbline_worker::settings::Settings;
 
 /// Shows profiles: every knob, or the differences between two
 #[derive(Debug, Args)]

@@ -139,5 +139,19 @@ pub enum CorpusError {
     },
 }
 
+/// A file's entry, for tests that need any.
+#[cfg(test)]
+pub(crate) fn file_entry(name: &str) -> Entry {
+    Entry {
+        video: VideoId::new(name).unwrap(),
+        location: Location::File(name.into()),
+        bytes: Some(3),
+        modified_ns: Some(5),
+        problem: None,
+        group: None,
+        carried: serde_json::Map::new(),
+    }
+}
+
 /// What was passed over while walking directories, by extension ("" for none).
 pub type Ignored = BTreeMap<String, u64>;

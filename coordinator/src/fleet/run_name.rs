@@ -49,20 +49,7 @@ pub(crate) fn run_name(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_common::id::VideoId;
-    use plumbline_common::message::Location;
-
-    fn entry(name: &str) -> Entry {
-        Entry {
-            video: VideoId::new(name).unwrap(),
-            location: Location::File(name.into()),
-            bytes: Some(1),
-            modified_ns: Some(2),
-            problem: None,
-            group: None,
-            carried: serde_json::Map::new(),
-        }
-    }
+    use crate::corpus::file_entry as entry;
 
     #[test]
     fn what_is_measured_makes_the_run() {

@@ -6,11 +6,13 @@ use plumbline_common::message::{Job, Location};
 use plumbline_common::row::Status;
 use plumbline_sample::corpus::ClipSpec;
 use plumbline_sample::scene::Family;
+use plumbline_vision::image::Rgb8;
 use plumbline_worker::child::ComputeSlot;
 use plumbline_worker::profile::Profile;
 
 use super::ProfileError;
 use crate::fanout::Slots;
+use crate::picture::png;
 
 /// Frames of the clip: enough for every signal and for the dense adjustment to be asked.
 const FRAMES: usize = 12;
@@ -31,16 +33,15 @@ pub async fn tried(profile: &Profile, slots: &Slots) -> Result<(), ProfileError>
     let mut bytes = 0;
     for (index, frame) in spec.render_frames().enumerate() {
         let frame = frame.map_err(|error| not_tried(&error))?;
+        let picture = Rgb8 {
+            width: frame.width,
+            height: frame.height,
+            data: frame.rgb,
+        };
+        let encoded = png(&picture).map_err(|error| not_tried(&error))?;
+        bytes += encoded.len() as u64;
         let path = place.path().join(format!("{index:04}.png"));
-        image::save_buffer(
-            &path,
-            &frame.rgb,
-            frame.width as u32,
-            frame.height as u32,
-            image::ExtendedColorType::Rgb8,
-        )
-        .map_err(|error| not_tried(&error))?;
-        bytes += path.metadata().map_err(|error| not_tried(&error))?.len();
+        std::fs::write(path, encoded).map_err(|error| not_tried(&error))?;
     }
     use std::os::unix::ffi::OsStrExt;
     let job = Job {

@@ -194,6 +194,17 @@ const MANIFESTS: [&str; 3] = [
     "manifests/review.jsonl",
 ];
 
+/// Whether both places hold the same manifests, statistics and rewards.
+#[track_caller]
+fn assert_same_files(files: &Path, memory: &Path, of: &str) {
+    for name in MANIFESTS
+        .into_iter()
+        .chain(["corpus.json", "rewards.jsonl"])
+    {
+        assert_eq!(read(files, name), read(memory, name), "{name}, {of}");
+    }
+}
+
 /// `reduce` of what `score` published gives what `score` published, byte for byte, in every setting.
 #[test]
 fn files_and_memory_agree() {
@@ -224,16 +235,7 @@ fn files_and_memory_agree() {
             write_part(&part, &rows);
             let found = reduce_files(&options(&[&part], &files, &o)).unwrap();
             assert_eq!(found.rows, n);
-            for name in MANIFESTS
-                .into_iter()
-                .chain(["corpus.json", "rewards.jsonl"])
-            {
-                assert_eq!(
-                    read(&files, name),
-                    read(&memory, name),
-                    "{name}, {n} rows, {o:?}"
-                );
-            }
+            assert_same_files(&files, &memory, &format!("{n} rows, {o:?}"));
             assert_eq!(
                 trainer_lists(&files),
                 trainer_lists(&memory),

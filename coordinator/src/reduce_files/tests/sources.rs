@@ -158,16 +158,7 @@ fn references_agree_in_files_and_memory_whatever_the_order() {
         let part = memory.join("part.jsonl");
         write_part(&part, &rows);
         reduce_files(&options(&[&part], &files, &o)).unwrap();
-        for name in MANIFESTS
-            .into_iter()
-            .chain(["corpus.json", "rewards.jsonl"])
-        {
-            assert_eq!(
-                read(&files, name),
-                read(&memory, name),
-                "{name}, {recipe:?}"
-            );
-        }
+        assert_same_files(&files, &memory, &format!("{recipe:?}"));
     }
     let mut other = reference;
     other.profile_digest = Some("other".to_owned());
