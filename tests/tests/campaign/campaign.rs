@@ -49,7 +49,7 @@ const FAULTS_PER_RUN: u64 = 60;
 const SILENCE: Duration = Duration::from_secs(180);
 
 /// A run of a few tens of seconds that is not done by then goes round in circles.
-const RUN_DEADLINE: Duration = Duration::from_secs(600);
+const RUN_DEADLINE: Duration = Duration::from_secs(1200);
 
 /// A queue that the broker is killed over within a second of its declaration may be unusable afterwards
 /// (the broker's own defect, see the design of the queues).
