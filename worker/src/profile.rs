@@ -15,7 +15,10 @@ use crate::decode::DecodeLimits;
 
 /// Raised whenever the same parameters begin to give other numbers, so that old results are not
 /// taken for new ones.
-pub const MEASURE_VERSION: u32 = 4;
+pub const MEASURE_VERSION: u32 = 5;
+
+/// V that no profile tells from none: a fifth of the threshold of recorded clips, below that of rendered ones.
+const LEAST_BAD_FRAME: f64 = 0.01;
 
 /// A rung of the speed/accuracy ladder (design, section 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,6 +75,9 @@ pub struct Profile {
     pub contact: ContactParams,
     /// Frame distances of the edges that geometry looks at, ascending; 1 is always measured.
     pub edge_spans: Vec<u32>,
+    /// Follow the flow between frames further apart from frame to frame, unless depth is estimated, and let
+    /// `bad_frame` have flow of its own only where it may matter ([`FaultParams::least_bad_frame`]).
+    pub follow_flow: bool,
     /// Grid of the geometric measure.
     pub grid: GridParams,
     /// Motion models and their selection.
@@ -163,10 +169,14 @@ impl Profile {
             signals: SignalParams::default(),
             arc_selector: ArcSelectorParams::default(),
             arc: ArcParams::default(),
-            faults: FaultParams::default(),
+            faults: FaultParams {
+                least_bad_frame: LEAST_BAD_FRAME,
+                ..FaultParams::default()
+            },
             fault_thresholds,
             contact: ContactParams::default(),
             edge_spans,
+            follow_flow: true,
             // The grid of dense bundle adjustment at 256 px; the same points at every rung.
             grid: GridParams {
                 step: working_height_px as usize / 32,

@@ -7,6 +7,7 @@
 
 mod assess;
 mod clip;
+mod edges;
 mod fill;
 pub mod frames;
 mod geometry;
@@ -109,6 +110,12 @@ pub(crate) fn measure_in_detail(
     cost.flow_s = clip.spent.flow.as_secs_f64();
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
+    cost.flow_pairs = clip.flow_work.pairs;
+    cost.flow_pairs_saved = clip
+        .flow_work
+        .pairs_in_full
+        .saturating_sub(clip.flow_work.pairs);
+    cost.frames_repeated = clip.flow_work.frames_repeated;
     cost.adjustment_steps = clip.dense_work.steps as u64;
     cost.depth_cells = clip.dense_work.depth_cells as u64;
     cost.depth_cells_saved = clip.dense_work.depth_cells_saved as u64;
@@ -161,10 +168,31 @@ fn stream(
             }
         }
     });
-    match (info, refused) {
-        (_, Some(error)) => Err(Refused::Clip(error)),
-        (Err(error), None) => Err(Refused::Decode(error)),
-        (Ok(info), None) => Ok(info),
+    let info = match (info, refused) {
+        (_, Some(error)) => return Err(Refused::Clip(error)),
+        (Err(error), None) => return Err(Refused::Decode(error)),
+        (Ok(info), None) => info,
+    };
+    if clip.need_second_look().map_err(Refused::Clip)? {
+        second_look(input, profile, clip)?;
+    }
+    Ok(info)
+}
+
+/// Decodes the clip once more, for edges that turned out to need flows of their own: to keep the frames of a
+/// long clip until that is known would take memory without bound.
+fn second_look(input: &Input, profile: &Profile, clip: &mut Clip<'_>) -> Result<(), Refused> {
+    let mut refused = None;
+    let decoded = input.decode(profile, &mut |frame| match clip.push_again(&frame) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(error) => {
+            refused = Some(error);
+            ControlFlow::Break(())
+        }
+    });
+    match refused {
+        Some(error) => Err(Refused::Clip(error)),
+        None => decoded.map(|_| ()).map_err(Refused::Decode),
     }
 }
 

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use plumbline_vision::consistency::Evidence;
 use plumbline_vision::faults::{
-    FaultEvent, FaultInput, FaultKind, FaultSeries, FaultStream, FaultThresholds,
+    FaultEvent, FaultInput, FaultKind, FaultParams, FaultSeries, FaultStream, FaultThresholds,
 };
 use plumbline_vision::signals::arc::{ArcClip, ArcSelector, ArcSignals};
 use plumbline_vision::signals::contact::{Contact, ContactStream};
@@ -16,6 +16,7 @@ use crate::profile::Profile;
 /// The observers of one clip.
 pub(super) struct Observers {
     faults: FaultStream,
+    least_bad_frame: f64,
     thresholds: FaultThresholds,
     contact: ContactStream,
     selector: ArcSelector,
@@ -38,8 +39,18 @@ pub(super) struct Observed {
 impl Observers {
     /// Observers that have seen nothing; `frame` is the first they will see.
     pub(super) fn new(profile: &Profile, frame: u32) -> Result<Self, ClipError> {
+        // Without flows across a frame there is no V, however small.
+        let least_bad_frame = match profile.edge_spans.contains(&2) {
+            true => profile.faults.least_bad_frame,
+            false => 0.0,
+        };
+        let faults = FaultParams {
+            least_bad_frame,
+            ..profile.faults.clone()
+        };
         Ok(Self {
-            faults: FaultStream::new(profile.faults.clone()).map_err(at("faults", frame))?,
+            least_bad_frame,
+            faults: FaultStream::new(faults).map_err(at("faults", frame))?,
             thresholds: profile.fault_thresholds,
             contact: ContactStream::new(profile.contact.clone()),
             selector: ArcSelector::new(profile.arc_selector.clone()),
@@ -51,6 +62,12 @@ impl Observers {
     /// Keeps the fault maps of these kinds and frames.
     pub(super) fn keep_maps(&mut self, wanted: &[(FaultKind, usize)]) {
         self.faults.keep_maps(wanted);
+    }
+
+    /// Whether the frame before the one that `adjacent` leads to may be bad: what the flow across it decides.
+    pub(super) fn may_be_bad(&self, adjacent: &Edge) -> bool {
+        let most = self.faults.bad_frame_at_most(&adjacent.change);
+        most.is_some_and(|most| most >= self.least_bad_frame)
     }
 
     /// Takes the next frame with its edges to the frame before and to the one before that.

@@ -31,7 +31,8 @@ pub struct FaultInput<'a> {
     pub picture: &'a NormalisedFrame,
     /// The pair with the frame before; `None` only with the first frame.
     pub adjacent: Option<&'a ChangePair>,
-    /// The pair with the frame before that; without it there is no `bad_frame`.
+    /// The pair with the frame before that; without it there is no `bad_frame`, unless it is known to be
+    /// below [`FaultParams::least_bad_frame`].
     pub skip: Option<&'a ChangePair>,
 }
 
@@ -95,8 +96,9 @@ impl FaultStream {
         self.check(&input)?;
         if let Some(pair) = input.adjacent.filter(|_| self.last_frame.is_some()) {
             self.jump(input.frame, pair);
-            if let Some(skip) = input.skip {
-                self.bad_frame(input.frame, pair, skip);
+            match input.skip {
+                Some(skip) => self.bad_frame(input.frame, pair, skip),
+                None => self.no_bad_frame(input.frame, pair),
             }
             self.remember_pair(pair);
             self.flicker(input.frame);
@@ -165,18 +167,42 @@ impl FaultStream {
         self.add_mean(FaultKind::Jump, frame, score, map);
     }
 
+    /// An upper bound of V of the frame before, were `pair` the next: what remains of V without the flow
+    /// across that frame. `None` where there is no V.
+    #[must_use]
+    pub fn bad_frame_at_most(&self, pair: &ChangePair) -> Option<f64> {
+        let earlier = self.pairs.back()?;
+        if pair.size() != self.series.grid_size {
+            return None;
+        }
+        let changes = maps::least(adjacent(earlier, pair));
+        Some(central_mean(&changes, &self.params))
+    }
+
+    /// The frame before `frame` is not bad, where that is known without the flow across it.
+    fn no_bad_frame(&mut self, frame: usize, pair: &ChangePair) {
+        let least = self.params.least_bad_frame;
+        if self
+            .bad_frame_at_most(pair)
+            .is_some_and(|most| most < least)
+        {
+            self.series.points[FaultKind::BadFrame as usize].push(FaultPoint {
+                frame: frame - 1,
+                score: 0.0,
+                place: None,
+            });
+        }
+    }
+
     /// Judges the frame before `frame`.
     fn bad_frame(&mut self, frame: usize, pair: &ChangePair, skip: &ChangePair) {
         let Some(earlier) = self.pairs.back() else {
             return;
         };
-        let adjacent = [
-            &earlier.forward_change,
-            &earlier.backward_change,
-            &pair.forward_change,
-            &pair.backward_change,
-        ];
-        let map = maps::bad_frame(adjacent, [&skip.forward_change, &skip.backward_change]);
+        let map = maps::bad_frame(
+            adjacent(earlier, pair),
+            [&skip.forward_change, &skip.backward_change],
+        );
         let score = central_mean(&map, &self.params);
         self.add_mean(FaultKind::BadFrame, frame - 1, score, map);
     }
@@ -255,4 +281,14 @@ impl FaultStream {
             grey,
         });
     }
+}
+
+/// The change maps of two successive pairs, both directions.
+fn adjacent<'a>(earlier: &'a PairPlanes, later: &'a ChangePair) -> [&'a Plane; 4] {
+    [
+        &earlier.forward_change,
+        &earlier.backward_change,
+        &later.forward_change,
+        &later.backward_change,
+    ]
 }
