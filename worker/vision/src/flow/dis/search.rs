@@ -147,6 +147,10 @@ impl<const P: usize> Patch<'_, P> {
     ) -> [f32; 2] {
         let mut best = start;
         let mut comparison = self.compare(start);
+        let still = self.params.still_levels;
+        if comparison.square <= still * still * (P * P) as f32 {
+            return start;
+        }
         if self.params.spatial_propagation {
             let mut shortest = comparison.distance;
             for candidate in neighbours.into_iter().flatten() {
@@ -178,6 +182,7 @@ impl<const P: usize> Patch<'_, P> {
     fn descend(&self, start: [f32; 2], mut comparison: Comparison, iterations: usize) -> [f32; 2] {
         let tensor = &self.first.tensors[self.index];
         let step_length = self.params.step_length;
+        let converged = self.params.converged_px * self.params.converged_px;
         let mut vector = start;
         let mut previous = f32::INFINITY;
         for iteration in 0..iterations {
@@ -185,9 +190,14 @@ impl<const P: usize> Patch<'_, P> {
                 comparison = self.compare(vector);
             }
             let [gx, gy] = comparison.descent;
-            vector[0] -= step_length * (tensor.inverse_xx * gx + tensor.inverse_xy * gy);
-            vector[1] -= step_length * (tensor.inverse_xy * gx + tensor.inverse_yy * gy);
-            if comparison.distance >= previous {
+            let step = [
+                tensor.inverse_xx * gx + tensor.inverse_xy * gy,
+                tensor.inverse_xy * gx + tensor.inverse_yy * gy,
+            ];
+            vector[0] -= step_length * step[0];
+            vector[1] -= step_length * step[1];
+            let is_found = step[0] * step[0] + step[1] * step[1] < converged;
+            if is_found || comparison.distance >= previous {
                 break;
             }
             previous = comparison.distance;
