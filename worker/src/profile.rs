@@ -17,9 +17,6 @@ use crate::decode::DecodeLimits;
 /// taken for new ones.
 pub const MEASURE_VERSION: u32 = 5;
 
-/// V that no profile tells from none: a fifth of the threshold of recorded clips, below that of rendered ones.
-const LEAST_BAD_FRAME: f64 = 0.01;
-
 /// A rung of the speed/accuracy ladder (design, section 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -75,8 +72,8 @@ pub struct Profile {
     pub contact: ContactParams,
     /// Frame distances of the edges that geometry looks at, ascending; 1 is always measured.
     pub edge_spans: Vec<u32>,
-    /// Follow the flow between frames further apart from frame to frame, unless depth is estimated, and let
-    /// `bad_frame` have flow of its own only where it may matter ([`FaultParams::least_bad_frame`]).
+    /// Follow the flow between frames further apart from frame to frame, unless depth is estimated, and search for
+    /// the one across a frame only where that frame may be bad enough to be reported.
     pub follow_flow: bool,
     /// Grid of the geometric measure.
     pub grid: GridParams,
@@ -169,10 +166,7 @@ impl Profile {
             signals: SignalParams::default(),
             arc_selector: ArcSelectorParams::default(),
             arc: ArcParams::default(),
-            faults: FaultParams {
-                least_bad_frame: LEAST_BAD_FRAME,
-                ..FaultParams::default()
-            },
+            faults: FaultParams::default(),
             fault_thresholds,
             contact: ContactParams::default(),
             edge_spans,

@@ -138,6 +138,7 @@ pub(super) struct Clip<'a> {
 /// What is kept for pictures beside the numbers; nothing unless asked.
 #[derive(Default)]
 struct Views {
+    all_faults: bool,
     wanted_maps: Vec<(FaultKind, usize)>,
     error_maps: bool,
     latest_error_px: Option<Plane>,
@@ -161,6 +162,11 @@ impl<'a> Clip<'a> {
             faults: FaultSeries::default(),
             spent: Spent::default(),
         }
+    }
+
+    /// Every fault score is wanted, also those that the row does not show.
+    pub(super) fn keep_faults(&mut self) {
+        self.views.all_faults = true;
     }
 
     /// Keeps, from now on, the fault maps of these kinds and frames, and each frame's end-point error.
@@ -413,6 +419,9 @@ impl<'a> Clip<'a> {
             None => {
                 let mut observers = Observers::new(self.profile, current.index)?;
                 observers.keep_maps(&self.views.wanted_maps);
+                if !self.views.all_faults {
+                    observers.only_what_the_row_shows(self.profile);
+                }
                 observers
             }
         };

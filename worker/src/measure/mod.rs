@@ -72,7 +72,15 @@ pub(crate) struct View<'a> {
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
 pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
-    Ok(measure_in_detail(job, None, None)?.outcome)
+    measure_copy(job, None)
+}
+
+/// As [`measure`]; an object by its copy on this machine.
+///
+/// # Errors
+/// [`MeasureError`], when the job is wrong.
+pub(crate) fn measure_copy(job: &Job, copy: Option<&Path>) -> Result<Outcome, MeasureError> {
+    Ok(measured(job, copy, None, false)?.outcome)
 }
 
 /// Measures one video and gives what is behind the row, too; an object by its copy on this machine.
@@ -82,11 +90,23 @@ pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
 pub(crate) fn measure_in_detail(
     job: &Job,
     copy: Option<&Path>,
+    view: Option<View<'_>>,
+) -> Result<Detailed, MeasureError> {
+    measured(job, copy, view, true)
+}
+
+fn measured(
+    job: &Job,
+    copy: Option<&Path>,
     mut view: Option<View<'_>>,
+    in_detail: bool,
 ) -> Result<Detailed, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
     let (started, cpu_started) = (Instant::now(), cpu_time());
     let mut clip = Clip::new(&profile);
+    if in_detail {
+        clip.keep_faults();
+    }
     if let Some(view) = &mut view {
         clip.keep_views(std::mem::take(&mut view.wanted_maps));
     }

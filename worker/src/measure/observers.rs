@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use plumbline_vision::consistency::Evidence;
 use plumbline_vision::faults::{
-    FaultEvent, FaultInput, FaultKind, FaultParams, FaultSeries, FaultStream, FaultThresholds,
+    FaultEvent, FaultInput, FaultKind, FaultSeries, FaultStream, FaultThresholds,
 };
 use plumbline_vision::signals::arc::{ArcClip, ArcSelector, ArcSignals};
 use plumbline_vision::signals::contact::{Contact, ContactStream};
@@ -16,7 +16,6 @@ use crate::profile::Profile;
 /// The observers of one clip.
 pub(super) struct Observers {
     faults: FaultStream,
-    least_bad_frame: f64,
     thresholds: FaultThresholds,
     contact: ContactStream,
     selector: ArcSelector,
@@ -39,18 +38,8 @@ pub(super) struct Observed {
 impl Observers {
     /// Observers that have seen nothing; `frame` is the first they will see.
     pub(super) fn new(profile: &Profile, frame: u32) -> Result<Self, ClipError> {
-        // Without flows across a frame there is no V, however small.
-        let least_bad_frame = match profile.edge_spans.contains(&2) {
-            true => profile.faults.least_bad_frame,
-            false => 0.0,
-        };
-        let faults = FaultParams {
-            least_bad_frame,
-            ..profile.faults.clone()
-        };
         Ok(Self {
-            least_bad_frame,
-            faults: FaultStream::new(faults).map_err(at("faults", frame))?,
+            faults: FaultStream::new(profile.faults.clone()).map_err(at("faults", frame))?,
             thresholds: profile.fault_thresholds,
             contact: ContactStream::new(profile.contact.clone()),
             selector: ArcSelector::new(profile.arc_selector.clone()),
@@ -64,10 +53,19 @@ impl Observers {
         self.faults.keep_maps(wanted);
     }
 
+    /// Leaves scores out that can be neither an event nor a verdict of the row; they are recorded as 0.
+    pub(super) fn only_what_the_row_shows(&mut self, profile: &Profile) {
+        // Without flows across a frame there is no V, however small.
+        if profile.edge_spans.contains(&2) {
+            let reported = profile.fault_thresholds.bad_frame.unwrap_or(f64::INFINITY);
+            let least = reported.min(profile.verdict.max_bad_frame);
+            self.faults.leave_out_bad_frames_below(least);
+        }
+    }
+
     /// Whether the frame before the one that `adjacent` leads to may be bad: what the flow across it decides.
     pub(super) fn may_be_bad(&self, adjacent: &Edge) -> bool {
-        let most = self.faults.bad_frame_at_most(&adjacent.change);
-        most.is_some_and(|most| most >= self.least_bad_frame)
+        self.faults.may_be_bad(&adjacent.change)
     }
 
     /// Takes the next frame with its edges to the frame before and to the one before that.

@@ -18,10 +18,6 @@ pub(super) const PERSISTENCE_PAIRS: usize = 4;
 pub struct FaultParams {
     /// Cells at the grid's border that no statistic counts.
     pub margin_cells: usize,
-    /// V below this is not worth the flow to the frame before the last, and is recorded as 0 where
-    /// [`FaultStream::bad_frame_at_most`](super::FaultStream::bad_frame_at_most) is below it and the pair
-    /// is left out; 0 for never.
-    pub least_bad_frame: f64,
     /// A map's peak is that of its mean over the `(2 r + 1)²` box of this radius, cells.
     pub peak_radius_cells: usize,
     /// A fault's bounds hold the cells around the peak above this share of it.
@@ -57,7 +53,6 @@ impl Default for FaultParams {
     fn default() -> Self {
         Self {
             margin_cells: 4,
-            least_bad_frame: 0.0,
             peak_radius_cells: 4,
             bounds_share: 0.5,
             step_radius_cells: 1,
@@ -92,12 +87,6 @@ impl FaultParams {
             if !(value.is_finite() && value > 0.0) {
                 return Err(FaultError::InvalidParameter { name, value });
             }
-        }
-        if !(self.least_bad_frame.is_finite() && self.least_bad_frame >= 0.0) {
-            return Err(FaultError::InvalidParameter {
-                name: "least_bad_frame",
-                value: self.least_bad_frame,
-            });
         }
         let finite = f64::from(self.quiet_speed_px);
         if !finite.is_finite() {

@@ -32,7 +32,7 @@ pub struct FaultInput<'a> {
     /// The pair with the frame before; `None` only with the first frame.
     pub adjacent: Option<&'a ChangePair>,
     /// The pair with the frame before that; without it there is no `bad_frame`, unless it is known to be
-    /// below [`FaultParams::least_bad_frame`].
+    /// what [`FaultStream::leave_out_bad_frames_below`] was told.
     pub skip: Option<&'a ChangePair>,
 }
 
@@ -40,6 +40,7 @@ pub struct FaultInput<'a> {
 #[derive(Debug, Clone)]
 pub struct FaultStream {
     params: FaultParams,
+    least_bad_frame: f64,
     last_frame: Option<usize>,
     frames: VecDeque<FramePlanes>,
     pairs: VecDeque<PairPlanes>,
@@ -73,6 +74,7 @@ impl FaultStream {
         params.validate()?;
         Ok(Self {
             params,
+            least_bad_frame: 0.0,
             last_frame: None,
             frames: VecDeque::with_capacity(TRANSITION_FRAMES),
             pairs: VecDeque::with_capacity(TRANSITION_PAIRS),
@@ -85,6 +87,12 @@ impl FaultStream {
     /// map costs its plane in memory.
     pub fn keep_maps(&mut self, wanted: &[(FaultKind, usize)]) {
         self.series.wanted.extend_from_slice(wanted);
+    }
+
+    /// From now on V is recorded as 0 where it is known to be below `least` and the pair across the frame is left
+    /// out, which then costs no flow.
+    pub fn leave_out_bad_frames_below(&mut self, least: f64) {
+        self.least_bad_frame = least;
     }
 
     /// Takes the next frame.
@@ -167,10 +175,16 @@ impl FaultStream {
         self.add_mean(FaultKind::Jump, frame, score, map);
     }
 
-    /// An upper bound of V of the frame before, were `pair` the next: what remains of V without the flow
-    /// across that frame. `None` where there is no V.
+    /// Whether V of the frame before needs the pair across that frame, were `pair` the next.
     #[must_use]
-    pub fn bad_frame_at_most(&self, pair: &ChangePair) -> Option<f64> {
+    pub fn may_be_bad(&self, pair: &ChangePair) -> bool {
+        let most = self.bad_frame_at_most(pair);
+        most.is_some_and(|most| most >= self.least_bad_frame)
+    }
+
+    /// An upper bound of V of the frame before, were `pair` the next: V without the flow across that frame, which
+    /// can only lower it. `None` where there is no V.
+    fn bad_frame_at_most(&self, pair: &ChangePair) -> Option<f64> {
         let earlier = self.pairs.back()?;
         if pair.size() != self.series.grid_size {
             return None;

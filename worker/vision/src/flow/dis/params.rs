@@ -23,9 +23,6 @@ const MOST_ITERATIONS: usize = 1000;
 const SMALLEST_SCALE: f32 = 1e-6;
 const LARGEST_CONSTANT: f32 = 1e6;
 
-// More than all grey levels, or than a patch.
-const LARGEST_TOLERANCE: f32 = 255.0;
-
 /// Parameters of [`Dis`](super::Dis).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -45,12 +42,6 @@ pub struct DisParams {
     pub spatial_propagation: bool,
     /// Bands of patch rows that vectors do not leave while they propagate; 1 is the whole frame.
     pub propagation_stripes: usize,
-    /// A patch whose starting vector matches to this many grey levels (root mean square) keeps it; 0 for only
-    /// one that matches exactly.
-    pub still_levels: f32,
-    /// A patch is found when its full Gauss-Newton step is shorter than this, pixels of its scale; 0 for never
-    /// before the distance stops falling.
-    pub converged_px: f32,
     /// Share of the full Gauss-Newton step taken in each iteration, in (0, 1].
     pub step_length: f32,
     /// Fixed-point iterations of the variational refinement at each scale; 0 leaves it out.
@@ -95,8 +86,6 @@ impl DisParams {
             mean_normalisation: true,
             spatial_propagation: true,
             propagation_stripes: PRESET_STRIPES,
-            still_levels: 0.0,
-            converged_px: 0.0,
             // OpenCV differentiates with an unnormalised Sobel kernel, eight times the gradient, so
             // that its steps are an eighth of Gauss-Newton's.
             step_length: 0.125,
@@ -166,13 +155,6 @@ impl DisParams {
             f64::from(self.step_length),
             "in (0, 1]",
         )?;
-        for (name, value) in [
-            ("still_levels", self.still_levels),
-            ("converged_px", self.converged_px),
-        ] {
-            let ok = (0.0..=LARGEST_TOLERANCE).contains(&value);
-            check(ok, name, f64::from(value), "from 0 to 255")?;
-        }
         check(
             self.propagation_stripes >= 1,
             "propagation_stripes",

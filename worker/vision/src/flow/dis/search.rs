@@ -147,8 +147,8 @@ impl<const P: usize> Patch<'_, P> {
     ) -> [f32; 2] {
         let mut best = start;
         let mut comparison = self.compare(start);
-        let still = self.params.still_levels;
-        if comparison.square <= still * still * (P * P) as f32 {
+        // Nothing matches better, and the next steps would be zero.
+        if comparison.square == 0.0 {
             return start;
         }
         if self.params.spatial_propagation {
@@ -182,7 +182,6 @@ impl<const P: usize> Patch<'_, P> {
     fn descend(&self, start: [f32; 2], mut comparison: Comparison, iterations: usize) -> [f32; 2] {
         let tensor = &self.first.tensors[self.index];
         let step_length = self.params.step_length;
-        let converged = self.params.converged_px * self.params.converged_px;
         let mut vector = start;
         let mut previous = f32::INFINITY;
         for iteration in 0..iterations {
@@ -190,14 +189,9 @@ impl<const P: usize> Patch<'_, P> {
                 comparison = self.compare(vector);
             }
             let [gx, gy] = comparison.descent;
-            let step = [
-                tensor.inverse_xx * gx + tensor.inverse_xy * gy,
-                tensor.inverse_xy * gx + tensor.inverse_yy * gy,
-            ];
-            vector[0] -= step_length * step[0];
-            vector[1] -= step_length * step[1];
-            let is_found = step[0] * step[0] + step[1] * step[1] < converged;
-            if is_found || comparison.distance >= previous {
+            vector[0] -= step_length * (tensor.inverse_xx * gx + tensor.inverse_xy * gy);
+            vector[1] -= step_length * (tensor.inverse_xy * gx + tensor.inverse_yy * gy);
+            if comparison.distance >= previous {
                 break;
             }
             previous = comparison.distance;
