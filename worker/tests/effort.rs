@@ -80,19 +80,15 @@ fn followed_flow_gives_the_scene_of_measured_flow_and_parallax_all_its_numbers()
             _ => Scene::Parallax,
         };
         assert_eq!(full.measurement.scene, Some(scene), "{}", clip.name);
-        let pairs = |outcome: &Outcome| outcome.cost.flow_pairs + outcome.cost.flow_pairs_saved;
-        assert_eq!(full.cost.flow_pairs_saved, 0);
-        assert_eq!(pairs(&full), pairs(&followed));
-        let (full, followed, saved) = (
-            full.measurement,
-            followed.measurement,
-            followed.cost.flow_pairs_saved,
-        );
+        let [all, some] = [full.cost, followed.cost];
+        let (full, followed) = (full.measurement, followed.measurement);
+        assert_eq!(all.flow_pairs_saved, 0);
         if scene == Scene::Parallax {
             assert_eq!(followed, full);
             continue;
         }
-        assert!(saved >= 15, "{}: {saved}", clip.name);
+        assert!(some.flow_pairs_saved >= 5, "{}: {some:?}", clip.name);
+        assert_eq!(some.flow_pairs + some.flow_pairs_saved, all.flow_pairs);
         let (there, here) = (full.reproj_px.unwrap(), followed.reproj_px.unwrap());
         println!("{}: {there:.4} px, followed {here:.4} px", clip.name);
         assert!((here - there).abs() < MOST_CHANGE * there, "{here} {there}");

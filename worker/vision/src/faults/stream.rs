@@ -195,11 +195,8 @@ impl FaultStream {
 
     /// The frame before `frame` is not bad, where that is known without the flow across it.
     fn no_bad_frame(&mut self, frame: usize, pair: &ChangePair) {
-        let least = self.params.least_bad_frame;
-        if self
-            .bad_frame_at_most(pair)
-            .is_some_and(|most| most < least)
-        {
+        let most = self.bad_frame_at_most(pair);
+        if most.is_some_and(|most| most < self.least_bad_frame) {
             self.series.points[FaultKind::BadFrame as usize].push(FaultPoint {
                 frame: frame - 1,
                 score: 0.0,
