@@ -95,8 +95,8 @@ const PAN_AMPLITUDE_RAD: f64 = 0.11;
 const DOLLY_LENGTH_M: f64 = 0.5;
 /// Where the low camera's path has its middle: the nearest object is 0.4 m away, the far wall 2.2 m.
 const FLYBY_EYE_M: Vec3 = vec3(0.0, -0.7, 0.24);
-/// Length of its path: some 5 px per frame for the nearest object and 1 px for the wall, at 256 px and 32 frames.
-const FLYBY_LENGTH_M: f64 = 0.36;
+/// Length of its path: some 7 px per frame for the nearest object and 1.3 px for the wall, at 256 px and 60 frames.
+const FLYBY_LENGTH_M: f64 = 0.72;
 impl Scene {
     /// Centre of the bystander, metres: the place of local faults.
     #[must_use]
