@@ -276,6 +276,15 @@ pub struct Cost {
     pub signals_s: f64,
     /// Motion models and dense adjustment.
     pub geometry_s: f64,
+    /// Pairs of frames whose flows, there and back, were searched for.
+    #[serde(default)]
+    pub flow_pairs: u64,
+    /// Pairs whose flows were not needed: followed from frame to frame, or between equal frames.
+    #[serde(default)]
+    pub flow_pairs_saved: u64,
+    /// Frames that equal the one before bit for bit, and were not prepared again.
+    #[serde(default)]
+    pub frames_repeated: u64,
     /// Steps of the dense adjustment.
     #[serde(default)]
     pub adjustment_steps: u64,

@@ -15,7 +15,7 @@ use crate::decode::DecodeLimits;
 
 /// Raised whenever the same parameters begin to give other numbers, so that old results are not
 /// taken for new ones.
-pub const MEASURE_VERSION: u32 = 4;
+pub const MEASURE_VERSION: u32 = 5;
 
 /// A rung of the speed/accuracy ladder (design, section 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,6 +72,9 @@ pub struct Profile {
     pub contact: ContactParams,
     /// Frame distances of the edges that geometry looks at, ascending; 1 is always measured.
     pub edge_spans: Vec<u32>,
+    /// Follow the flow between frames further apart from frame to frame, unless depth is estimated, and search for
+    /// the one across a frame only where that frame may be bad enough to be reported.
+    pub follow_flow: bool,
     /// Grid of the geometric measure.
     pub grid: GridParams,
     /// Motion models and their selection.
@@ -167,6 +170,7 @@ impl Profile {
             fault_thresholds,
             contact: ContactParams::default(),
             edge_spans,
+            follow_flow: true,
             // The grid of dense bundle adjustment at 256 px; the same points at every rung.
             grid: GridParams {
                 step: working_height_px as usize / 32,

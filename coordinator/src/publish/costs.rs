@@ -32,6 +32,11 @@ pub fn cost_columns() -> Vec<Column<CostRow>> {
         Column::field("flow_s", Float64, |r| r.cost.flow_s.into()),
         Column::field("signals_s", Float64, |r| r.cost.signals_s.into()),
         Column::field("geometry_s", Float64, |r| r.cost.geometry_s.into()),
+        Column::field("flow_pairs", UInt64, |r| r.cost.flow_pairs.into()),
+        Column::field("flow_pairs_saved", UInt64, |r| {
+            r.cost.flow_pairs_saved.into()
+        }),
+        Column::field("frames_repeated", UInt64, |r| r.cost.frames_repeated.into()),
         Column::field("adjustment_steps", UInt64, |r| {
             r.cost.adjustment_steps.into()
         }),

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::protocol::{Ask, Drawn, Request};
 use crate::explain::{self, Picture};
-use crate::measure::{frames, measure_in_detail};
+use crate::measure::{frames, measure_copy, measure_in_detail};
 use crate::slam;
 
 /// Answers requests until standard input closes.
@@ -43,7 +43,7 @@ pub fn run(memory_mib: u64) -> anyhow::Result<()> {
         let copy = copy.as_deref();
         match ask {
             Ask::Measure(job) => {
-                send(&mut stdout, &measure_in_detail(&job, copy, None)?.outcome)?;
+                send(&mut stdout, &measure_copy(&job, copy)?)?;
             }
             Ask::Detail(job) => send(&mut stdout, &measure_in_detail(&job, copy, None)?)?,
             Ask::Track(job) => send(&mut stdout, &slam::track(&job, copy)?)?,

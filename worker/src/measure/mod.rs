@@ -7,6 +7,7 @@
 
 mod assess;
 mod clip;
+mod edges;
 mod fill;
 pub mod frames;
 mod geometry;
@@ -71,7 +72,15 @@ pub(crate) struct View<'a> {
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
 pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
-    Ok(measure_in_detail(job, None, None)?.outcome)
+    measure_copy(job, None)
+}
+
+/// As [`measure`]; an object by its copy on this machine.
+///
+/// # Errors
+/// [`MeasureError`], when the job is wrong.
+pub(crate) fn measure_copy(job: &Job, copy: Option<&Path>) -> Result<Outcome, MeasureError> {
+    Ok(measured(job, copy, None, false)?.outcome)
 }
 
 /// Measures one video and gives what is behind the row, too; an object by its copy on this machine.
@@ -81,11 +90,23 @@ pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
 pub(crate) fn measure_in_detail(
     job: &Job,
     copy: Option<&Path>,
+    view: Option<View<'_>>,
+) -> Result<Detailed, MeasureError> {
+    measured(job, copy, view, true)
+}
+
+fn measured(
+    job: &Job,
+    copy: Option<&Path>,
     mut view: Option<View<'_>>,
+    in_detail: bool,
 ) -> Result<Detailed, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
     let (started, cpu_started) = (Instant::now(), cpu_time());
     let mut clip = Clip::new(&profile);
+    if in_detail {
+        clip.keep_faults();
+    }
     if let Some(view) = &mut view {
         clip.keep_views(std::mem::take(&mut view.wanted_maps));
     }
@@ -109,6 +130,12 @@ pub(crate) fn measure_in_detail(
     cost.flow_s = clip.spent.flow.as_secs_f64();
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
+    cost.flow_pairs = clip.flow_work.pairs;
+    cost.flow_pairs_saved = clip
+        .flow_work
+        .pairs_in_full
+        .saturating_sub(clip.flow_work.pairs);
+    cost.frames_repeated = clip.flow_work.frames_repeated;
     cost.adjustment_steps = clip.dense_work.steps as u64;
     cost.depth_cells = clip.dense_work.depth_cells as u64;
     cost.depth_cells_saved = clip.dense_work.depth_cells_saved as u64;
@@ -161,10 +188,31 @@ fn stream(
             }
         }
     });
-    match (info, refused) {
-        (_, Some(error)) => Err(Refused::Clip(error)),
-        (Err(error), None) => Err(Refused::Decode(error)),
-        (Ok(info), None) => Ok(info),
+    let info = match (info, refused) {
+        (_, Some(error)) => return Err(Refused::Clip(error)),
+        (Err(error), None) => return Err(Refused::Decode(error)),
+        (Ok(info), None) => info,
+    };
+    if clip.need_second_look().map_err(Refused::Clip)? {
+        second_look(input, profile, clip)?;
+    }
+    Ok(info)
+}
+
+/// Decodes the clip once more, for edges that turned out to need flows of their own: to keep the frames of a
+/// long clip until that is known would take memory without bound.
+fn second_look(input: &Input, profile: &Profile, clip: &mut Clip<'_>) -> Result<(), Refused> {
+    let mut refused = None;
+    let decoded = input.decode(profile, &mut |frame| match clip.push_again(&frame) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(error) => {
+            refused = Some(error);
+            ControlFlow::Break(())
+        }
+    });
+    match refused {
+        Some(error) => Err(Refused::Clip(error)),
+        None => decoded.map(|_| ()).map_err(Refused::Decode),
     }
 }
 
