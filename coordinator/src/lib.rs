@@ -2,6 +2,7 @@
 
 pub mod agreement;
 mod answers;
+pub mod cascade;
 pub mod cli;
 pub mod collect;
 pub mod corpus;
