@@ -9,7 +9,7 @@ use plumbline_common::row::{Decision, Status};
 use serde::{Deserialize, Serialize};
 
 use super::flip::{Residuals, decide};
-use super::{Assessment, Video};
+use super::{Assessment, Video, anomaly};
 use crate::reduce::ReduceOptions;
 
 /// Parts that the sample is judged in.
@@ -33,11 +33,8 @@ pub fn crossed(
     options: &ReduceOptions,
 ) -> Crossed {
     let top = assessment.calibrations.len().saturating_sub(1);
-    let anomaly = |video: &Video, rung: usize| -> Option<f64> {
-        let calibration = assessment.calibrations.get(rung)?;
-        let values = video.values(rung)?;
-        calibration.yardstick.anomaly(options.recipe, values)
-    };
+    let calibrations = &assessment.calibrations;
+    let anomaly = |video: &Video, rung: usize| anomaly(video, rung, calibrations, options);
     let judged = assessment.judged.iter().flatten();
     let stayed = judged.filter(|judged| judged.rung < top);
     let least_certain = stayed.map(|judged| judged.flip).fold(0.0, f64::max);
@@ -58,7 +55,7 @@ pub fn crossed(
                 .map(|(_, video)| video)
         };
         let residuals: Vec<Residuals> = (0..top)
-            .map(|rung| Residuals::of_some(others(), rung, top, &anomaly))
+            .map(|rung| Residuals::of(others(), rung, top, &anomaly))
             .collect();
         for &index in &members {
             let (Some(video), Some(Some(at_top))) =

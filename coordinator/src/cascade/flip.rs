@@ -72,19 +72,8 @@ pub struct Residuals {
 }
 
 impl Residuals {
-    /// From every video that was measured at both rungs.
-    #[must_use]
-    pub fn of(
-        videos: &[Video],
-        rung: usize,
-        top: usize,
-        anomaly: &dyn Fn(&Video, usize) -> Option<f64>,
-    ) -> Self {
-        Self::of_some(videos.iter(), rung, top, anomaly)
-    }
-
-    /// The same of some videos.
-    pub fn of_some<'a>(
+    /// From every one of these videos that was measured at both rungs.
+    pub fn of<'a>(
         videos: impl Iterator<Item = &'a Video>,
         rung: usize,
         top: usize,

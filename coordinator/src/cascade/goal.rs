@@ -66,6 +66,9 @@ pub enum Step {
 /// at the end of each.
 const LEAST_SHARE_OF_WAVE: usize = 100;
 
+/// ...and at most one in so many: what one wave finds may spare the next.
+const MOST_SHARE_OF_WAVE: usize = 10;
+
 /// A flip that is less likely is not worth a measurement, whatever the budget.
 const NEGLIGIBLE: f64 = 1e-3;
 
@@ -131,18 +134,26 @@ fn cheapest_only(videos: &[Video], options: &ReduceOptions) -> Step {
     done(&videos, &[], options, End::CheapestOnly)
 }
 
-/// The least certain videos, as many as leave no more flips than the target allows.
+/// The least certain videos, as many as leave no more flips than the target allows; where too many hang on
+/// the calibration, too, the next least certain ones.
 fn towards(videos: &[Video], assessment: Assessment, target: f64) -> Step {
     let n = videos.len();
     let allowed = (1.0 - target).max(0.0) * n as f64;
     let mut left = assessment.expected_flips();
-    if left <= allowed {
+    let order = match left <= allowed {
+        true => Vec::new(),
+        false => by_worth(videos, &assessment, |_, flip| flip),
+    };
+    if order.is_empty() {
         return Step::Done(Box::new(assessment), End::Reached);
     }
-    let least = n.div_ceil(LEAST_SHARE_OF_WAVE);
+    let (least, most) = (
+        n.div_ceil(LEAST_SHARE_OF_WAVE),
+        n.div_ceil(MOST_SHARE_OF_WAVE),
+    );
     let mut chosen = Vec::new();
-    for (index, flip, rung) in by_worth(&assessment, |_, flip| flip) {
-        if left <= allowed && chosen.len() >= least {
+    for (index, flip, rung) in order {
+        if chosen.len() >= most || (left <= allowed && chosen.len() >= least) {
             break;
         }
         left -= flip;
@@ -164,18 +175,18 @@ fn within(videos: &[Video], assessment: Assessment, budget_s: f64) -> Step {
     let rung_of = |index: usize| assessment.judged.get(index).copied().flatten();
     let worth = |index: usize, flip: f64| {
         let rung = rung_of(index).map_or(0, |judged| judged.rung + 1);
-        match flip < NEGLIGIBLE {
-            true => 0.0,
-            false => flip / cost(index, rung).max(f64::MIN_POSITIVE),
-        }
+        flip / cost(index, rung).max(f64::MIN_POSITIVE)
     };
-    let order = by_worth(&assessment, worth);
-    if order.is_empty() {
+    let order = by_worth(videos, &assessment, worth);
+    if order.iter().all(|(_, flip, _)| *flip < NEGLIGIBLE) {
         return Step::Done(Box::new(assessment), End::Reached);
     }
     let mut cost_s = 0.0;
     let mut chosen: Vec<(usize, usize)> = Vec::new();
-    for &(index, _, rung) in &order {
+    for &(index, flip, rung) in &order {
+        if flip < NEGLIGIBLE {
+            continue;
+        }
         let more_s = cost(index, rung);
         let room_s = match chosen.is_empty() {
             true => left_s,
@@ -194,17 +205,22 @@ fn within(videos: &[Video], assessment: Assessment, budget_s: f64) -> Step {
     }
 }
 
-/// Index, flip probability and next rung of the videos that are worth anything, the most first.
+/// Index, flip probability and next rung of the videos of which a dearer rung may say more, those of most
+/// worth first.
 fn by_worth(
+    videos: &[Video],
     assessment: &Assessment,
     worth: impl Fn(usize, f64) -> f64,
 ) -> Vec<(usize, f64, usize)> {
-    let judged = assessment.judged.iter().enumerate();
-    let mut order: Vec<(f64, usize, f64, usize)> = judged
-        .filter_map(|(index, judged)| {
+    let known = videos.iter().zip(&assessment.judged).enumerate();
+    let mut order: Vec<(f64, usize, f64, usize)> = known
+        .filter_map(|(index, (video, judged))| {
             let judged = (*judged)?;
-            let worth = worth(index, judged.flip);
-            (worth > 0.0).then_some((worth, index, judged.flip, judged.rung + 1))
+            let open = judged.rung + 1 < video.seen.len() && open(video.at(judged.rung));
+            open.then(|| {
+                let worth = worth(index, judged.flip);
+                (worth, index, judged.flip, judged.rung + 1)
+            })
         })
         .collect();
     order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));

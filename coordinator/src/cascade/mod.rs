@@ -6,7 +6,8 @@
 //! same waves: each depends on measurements alone (and on their costs, where the goal is a budget in
 //! seconds). A seeded sample of the corpus is measured at every rung; from it come
 //! - the calibration of each rung ([`calibration`]), against which its rows alone are scored,
-//! - what a decision is worth before the top has been asked ([`flip`]),
+//! - what a decision is worth before the top has been asked ([`flip`]), and what the calibration's own
+//!   error makes of it ([`resample`]),
 //! - and how well all that does, on videos that it was not fitted to ([`crossed`]).
 
 pub mod budget;
@@ -15,6 +16,7 @@ pub mod crossed;
 pub mod flip;
 pub mod goal;
 pub mod record;
+pub mod resample;
 pub mod sample;
 #[cfg(test)]
 mod tests;
@@ -109,7 +111,9 @@ pub struct Judged {
     pub anomaly: Option<f64>,
     /// What the keep rule makes of it.
     pub decision: Decision,
-    /// The probability that the top rung decides otherwise; 0 where it was asked, or is not worth asking.
+    /// The probability that measuring the whole corpus at the top decides otherwise: of a row from below by
+    /// the residuals of others, of one from the top by what the calibration does not know; 0 of a video of
+    /// which no rung can say more.
     pub flip: f64,
 }
 
@@ -123,11 +127,33 @@ pub struct Assessment {
 }
 
 impl Assessment {
-    /// Decisions of which the top rung would decide otherwise, on average.
+    /// Decisions that would be others if the whole corpus were measured at the top, on average.
     #[must_use]
     pub fn expected_flips(&self) -> f64 {
         self.judged.iter().flatten().map(|judged| judged.flip).sum()
     }
+}
+
+/// What is known of each video: the dearest rung at which it was measured, and its anomaly there.
+type Placed = Vec<Option<(usize, Option<f64>)>>;
+
+fn anomaly(
+    video: &Video,
+    rung: usize,
+    calibrations: &[Surveyed],
+    options: &ReduceOptions,
+) -> Option<f64> {
+    let values = video.values(rung)?;
+    let yardstick = &calibrations.get(rung)?.yardstick;
+    yardstick.anomaly(options.recipe, values)
+}
+
+fn place(videos: &[Video], calibrations: &[Surveyed], options: &ReduceOptions) -> Placed {
+    let placed = videos.iter().map(|video| {
+        let rung = video.rung()?;
+        Some((rung, anomaly(video, rung, calibrations, options)))
+    });
+    placed.collect()
 }
 
 /// Scores, decides, and says how sure that is. `videos` are in the order of their names, by which ties are
@@ -136,29 +162,24 @@ impl Assessment {
 pub fn assess(videos: &[Video], sample: &[usize], options: &ReduceOptions) -> Assessment {
     let rungs = videos.first().map_or(0, |video| video.seen.len());
     let calibrations = calibrate(videos, sample, rungs, options);
-    let anomaly = |video: &Video, rung: usize| -> Option<f64> {
-        let calibration: &Surveyed = calibrations.get(rung)?;
-        let values = video.values(rung)?;
-        calibration.yardstick.anomaly(options.recipe, values)
-    };
-    let placed: Vec<Option<(usize, Option<f64>)>> = videos
-        .iter()
-        .map(|video| video.rung().map(|rung| (rung, anomaly(video, rung))))
-        .collect();
+    let placed = place(videos, &calibrations, options);
     let decided = flip::decide(videos, &placed, options);
     let top = rungs.saturating_sub(1);
+    let anomaly = |video: &Video, rung: usize| anomaly(video, rung, &calibrations, options);
     let residuals: Vec<Residuals> = (0..top)
-        .map(|rung| Residuals::of(videos, rung, top, &anomaly))
+        .map(|rung| Residuals::of(videos.iter(), rung, top, &anomaly))
         .collect();
-    let judged = videos.iter().zip(&placed).zip(&decided.decisions);
-    let judged = judged
-        .map(|((video, placed), &decision)| {
+    let recalibrated = resample::flips(videos, sample, &decided.decisions, options);
+    let known = videos.iter().zip(&placed).zip(&decided.decisions);
+    let judged = known
+        .zip(recalibrated)
+        .map(|(((video, placed), &decision), recalibrated)| {
             let (rung, anomaly) = (*placed)?;
             let seen = video.at(rung)?;
             let cut = decided.cuts.cut(&video.group.as_deref(), &options.keep);
             let flip = match residuals.get(rung) {
                 Some(residuals) => residuals.flip(seen.status, anomaly, decision, cut),
-                None => 0.0,
+                None => recalibrated,
             };
             Some(Judged {
                 rung,

@@ -44,6 +44,6 @@ pub struct RungRecord {
     pub measured_frames: u64,
     /// Rows that are published from it.
     pub rows: u64,
-    /// What its rows are scored with.
-    pub calibration: Population,
+    /// What its rows are scored with; absent where none is scored.
+    pub calibration: Option<Population>,
 }

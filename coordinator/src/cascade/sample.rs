@@ -8,7 +8,7 @@ use crate::reduce::draw;
 /// Fewest videos that a flip model is fitted to: below, spreads of residuals mean little.
 pub const FEWEST: usize = 16;
 /// One in so many of a larger corpus...
-const ONE_IN: usize = 50;
+const ONE_IN: usize = 25;
 /// ...but no more than this: the error of a share of 1% is then half of it.
 const MOST: usize = 400;
 

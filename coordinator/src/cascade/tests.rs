@@ -154,7 +154,7 @@ fn the_target_is_met_by_measuring_some() {
         assert!(flips.count() <= 15 + 3 * 4, "{keep}: {flips:?}");
         assert!(found.assessment.expected_flips() <= 15.0);
         assert!(
-            found.at_top() < world.len() / 2,
+            found.at_top() < world.len() * 3 / 4,
             "{keep}: {} at the top",
             found.at_top()
         );
@@ -228,7 +228,7 @@ fn every_video_has_one_row_and_typed_verdicts_stay() {
     }
     // Of `static` nothing is known at first: it is asked, and what the top says counts.
     let asked = found.assessment.judged[40].unwrap();
-    assert_eq!((asked.rung, asked.flip), (1, 0.0));
+    assert_eq!(asked.rung, 1);
     assert_ne!(asked.decision, Decision::Review);
     assert!(found.flips(&world, &options).agreement() >= 0.98);
 }

@@ -36,7 +36,7 @@ pub struct CascadeOptions {
 }
 
 impl CascadeOptions {
-    /// The ladder up to `top`: the cheapest rung, with what `top` says of cameras, limits and times.
+    /// The ladder up to `top`: every rung below its own, with what `top` says of cameras, limits and times.
     ///
     /// # Errors
     /// Where nothing is cheaper.
@@ -47,17 +47,18 @@ impl CascadeOptions {
                     .to_owned(),
             );
         }
-        let below = Profile {
+        let rungs = Rung::ALL.into_iter().take_while(|rung| *rung != top.rung);
+        let below = rungs.map(|rung| Profile {
             intrinsics: top.intrinsics,
             conditioning_frames: top.conditioning_frames,
             warmup_frames: top.warmup_frames,
             sequence_fps: top.sequence_fps,
             limits: top.limits.clone(),
-            ..Profile::new(Rung::Draft)
-        };
+            ..Profile::new(rung)
+        });
         Ok(Self {
             budget,
-            below: vec![below],
+            below: below.collect(),
         })
     }
 }
@@ -263,6 +264,8 @@ fn cascaded(
                 .iter()
                 .filter_map(move |video| video.seen.get(at)?.as_ref())
         };
+        // Nothing is known of the way to a rung that nothing, or half a sample, was measured at.
+        let is_scored_with = measured().next().is_some() && (is_known || at == 0);
         records.push(RungRecord {
             name: profile.name(),
             digest: digest.clone(),
@@ -270,13 +273,15 @@ fn cascaded(
             measured: measured().count() as u64,
             measured_frames: measured().map(|seen| u64::from(seen.frames)).sum(),
             rows: rows.iter().filter(|(rung, _)| *rung == at).count() as u64,
-            calibration: calibration.population.clone(),
+            calibration: is_scored_with.then(|| calibration.population.clone()),
         });
-        of_rows.push(RungOfRows {
-            name: profile.name(),
-            digest: digest.clone(),
-            calibration: calibration.clone(),
-        });
+        if is_known || at == 0 {
+            of_rows.push(RungOfRows {
+                name: profile.name(),
+                digest: digest.clone(),
+                calibration: calibration.clone(),
+            });
+        }
     }
     let reduce = rungs.last().map(|rung| &rung.options.reduce);
     let sampled = matches!(end, End::Reached | End::Spent);

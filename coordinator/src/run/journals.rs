@@ -61,7 +61,11 @@ impl Journals {
                         let Some(record) = journal.read(&entry.video)? else {
                             continue;
                         };
-                        let name = cascaded.rungs.get(at).map(|rung| rung.name.clone());
+                        let name = cascaded
+                            .record
+                            .profiles
+                            .get(at)
+                            .map(|rung| rung.name.clone());
                         costs.push(CostRow::of(&record, name));
                         if at == rung {
                             measurement = Some(record.outcome.measurement);
