@@ -2,9 +2,8 @@
 //! decision is uncertain at dearer ones (design section 6).
 //!
 //! Pure: in go measurements, out comes what to measure next ([`next`]) or what is known ([`assess`]). The
-//! run asks again after each wave, so that a run that was killed, or another order of answers, comes to the
-//! same waves: each depends on measurements alone (and on their costs, where the goal is a budget in
-//! seconds). A seeded sample of the corpus is measured at every rung; from it come
+//! run asks again after each wave: a wave depends on the waves before it alone (and on their costs, where the goal is
+//! a budget in seconds), so that a run that was killed, or another order of answers, comes to the same. A seeded sample of the corpus is measured at every rung; from it come
 //! - the calibration of each rung ([`calibration`]), against which its rows alone are scored,
 //! - what a decision is worth before the top has been asked ([`flip`]), and what the calibration's own
 //!   error makes of it ([`resample`]),

@@ -1,8 +1,9 @@
 //! Waves of a cascade: what [`crate::cascade`] asks for is measured, rung by rung, until it asks no more.
 //!
-//! Each rung has a journal of its own, so that a run that was stopped goes through the same waves again and
-//! finds them answered; and on a fleet a run of its own (its name is a digest of the profile, too), so that
-//! no answer is taken for one of another rung.
+//! Each rung has a journal of its own. A measurement counts from the wave on that asks for it, however long it
+//! was in a journal, so that a run that was stopped goes through the same waves again and finds them answered.
+//! On a fleet each rung is a run of its own (its name is a digest of the profile, too), so that no answer is
+//! taken for one of another rung.
 
 use plumbline_common::id::RunId;
 use plumbline_common::row::Status;
@@ -19,7 +20,7 @@ use crate::cascade::{Assessment, End, Seen, Step, Video, next};
 use crate::collect::JournalError;
 use crate::corpus::Entry;
 use crate::keep::Keep;
-use crate::measuring::{Spent, is_readable};
+use crate::measuring::is_readable;
 use crate::progress::say;
 use crate::reduce::ladder::RungOfRows;
 use crate::reduce::recipe::BySignal;
@@ -94,14 +95,14 @@ pub(super) async fn climb(
     let goal = cascade.budget.goal(entries.len());
     let sample = sample(entries.len(), corpus_digest(entries));
     let reduce = &site.options.reduce;
-    let mut videos = known(entries, &rungs)?;
+    let mut videos = unmeasured(entries, rungs.len());
     let before: usize = rungs.iter().map(|rung| rung.keep.journal.len()).sum();
     if before > 0 {
         say(&format!(
             "{before} measurements of an earlier run are taken over"
         ));
     }
-    let (mut spent, mut measured_now) = (Spent::default(), 0);
+    let (mut compute_s, mut measured_now) = (0.0, 0);
     let (assessment, end) = loop {
         let wave = match next(&videos, &sample, &goal, reduce) {
             Step::Measure(wave) => wave,
@@ -116,27 +117,40 @@ pub(super) async fn climb(
             entries.len(),
             rung.options.profile.name()
         ));
+        let RungAtWork { options, keep, run } = rung;
+        for &index in &wave.videos {
+            look(&mut videos, entries, index, wave.rung, keep)?;
+        }
         let most_cpu_s = match goal {
             // Every video has a row, whatever the budget.
             Goal::Cpu(budget_s) if wave.rung > 0 => budget_s - spent_s(&videos),
             _ => f64::INFINITY,
         };
-        let known_before = rung.keep.journal.len();
-        let asked = wave.videos.clone();
-        let RungAtWork { options, keep, run } = rung;
-        let (more, answers) = measure(
-            options,
-            entries,
-            asked,
-            most_cpu_s,
-            keep,
-            run.as_ref(),
-            stop,
-        )
-        .await?;
-        answers.finished().await?;
-        measured_now += keep.journal.len() - known_before;
-        spent.compute_s += more.compute_s;
+        let asked: Vec<usize> = wave
+            .videos
+            .iter()
+            .copied()
+            .filter(|&index| {
+                let entry = entries.get(index);
+                entry.is_some_and(|entry| !keep.journal.contains(&entry.video))
+            })
+            .collect();
+        if !asked.is_empty() {
+            let known_before = keep.journal.len();
+            let (more, answers) = measure(
+                options,
+                entries,
+                asked,
+                most_cpu_s,
+                keep,
+                run.as_ref(),
+                stop,
+            )
+            .await?;
+            answers.finished().await?;
+            measured_now += keep.journal.len() - known_before;
+            compute_s += more.compute_s;
+        }
         for &index in &wave.videos {
             look(&mut videos, entries, index, wave.rung, keep)?;
         }
@@ -147,7 +161,7 @@ pub(super) async fn climb(
     Ok(Climbed {
         measured,
         measured_now,
-        compute_s: spent.compute_s,
+        compute_s,
         run,
     })
 }
@@ -174,21 +188,13 @@ fn corpus_digest(entries: &[Entry]) -> [u8; 32] {
     *hasher.finalize().as_bytes()
 }
 
-/// What earlier runs measured.
-fn known(entries: &[Entry], rungs: &[RungAtWork]) -> Result<Vec<Video>, JournalError> {
-    let mut videos: Vec<Video> = entries
-        .iter()
-        .map(|entry| Video {
-            group: entry.group.clone(),
-            seen: vec![(!is_readable(entry)).then(unreadable); rungs.len()],
-        })
-        .collect();
-    for index in 0..entries.len() {
-        for (at, rung) in rungs.iter().enumerate() {
-            look(&mut videos, entries, index, at, &rung.keep)?;
-        }
-    }
-    Ok(videos)
+/// The corpus before the first wave.
+fn unmeasured(entries: &[Entry], rungs: usize) -> Vec<Video> {
+    let videos = entries.iter().map(|entry| Video {
+        group: entry.group.clone(),
+        seen: vec![(!is_readable(entry)).then(unreadable); rungs],
+    });
+    videos.collect()
 }
 
 /// No rung can say more of what cannot be looked at.
