@@ -71,11 +71,13 @@ result=tests/benches/results/cascade-$(date +%F).md
     echo "- command: \`$command\`; cost is processor time, as a share of measuring everything at \`accurate\`, the sample included"
     echo "- \`judged\` leaves out the videos that fit the flip model; \`worst draw\` is the least of 40 draws of the sample"
     for corpus in real rendered; do
-        for keep in 80% 50%; do
-            echo
-            echo "## $corpus clips, --keep $keep"
-            echo
-            "$work/cascade_curve" "$work/$corpus/draft" "$work/$corpus/standard" "$work/$corpus/accurate" --keep "$keep"
+        for recipe in balanced paper; do
+            for keep in 80% 50%; do
+                echo
+                echo "## $corpus clips, --recipe $recipe, --keep $keep"
+                echo
+                "$work/cascade_curve" "$work/$corpus/draft" "$work/$corpus/standard" "$work/$corpus/accurate" --keep "$keep" --recipe "$recipe"
+            done
         done
         echo
         held "$corpus"

@@ -104,10 +104,10 @@ fn line(from: Vec<f64>, to: Vec<f64>) -> Option<Line> {
     slope.is_finite().then_some(line)
 }
 
-/// Median and MAD.
+/// Median and MAD of finite values.
 fn centre(values: Vec<f64>) -> Option<(f64, f64)> {
+    let n = values.len() as u64;
     let values: InMemory = values.into_iter().collect();
-    let n = population_size(&values);
     let Ok(order) = OrderStatistics::find(&values, n, &[], 0);
     let median = order.median()?;
     let distances = Distances {
@@ -116,14 +116,6 @@ fn centre(values: Vec<f64>) -> Option<(f64, f64)> {
     };
     let Ok(order) = OrderStatistics::find(&distances, n, &[], 0);
     Some((median, order.median()?))
-}
-
-fn population_size(values: &InMemory) -> u64 {
-    use crate::reduce::values::Values;
-    let Ok(n) = values.fold(&|| 0, &|n, piece| *n += piece.len() as u64, &|n, more| {
-        *n += more
-    });
-    n
 }
 
 #[cfg(test)]
