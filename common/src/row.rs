@@ -340,4 +340,10 @@ pub struct Row {
     pub recipe: String,
     /// Digest of the profile that measured it.
     pub profile_digest: String,
+    /// The name of that profile, where rows of a run come from different ones (a cascade).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rung: Option<String>,
+    /// The probability that the top profile of a cascade decides otherwise; 0 where it was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flip_probability: Option<f64>,
 }

@@ -15,9 +15,11 @@ use super::queue::QueueArgs;
 use super::reducing::ReducingArgs;
 use super::watching::WatchingArgs;
 use super::{Failure, exit, print_json, summary};
+use crate::cascade::budget::Budget;
 use crate::corpus::{CorpusError, GroupBy};
 use crate::metrics::Metrics;
-use crate::run::{self, RunError, ScoreOptions};
+use crate::reduce::outcome::NormaliseWithin;
+use crate::run::{self, CascadeOptions, RunError, ScoreOptions};
 use crate::watch;
 
 /// Scores every video of a source: scores, manifests, rewards and a report
@@ -37,6 +39,10 @@ pub(super) struct ScoreArgs {
     /// Also draw the worst frame of each of the K most anomalous videos, linked from the report
     #[arg(long, value_name = "K", default_value_t = 0)]
     heatmaps: usize,
+    /// Measure at draft, and with --profile only where a keep/drop decision is uncertain: until auto (99% of
+    /// the decisions are expected to be those of --profile), agreement=P%, cpu=TIME or per-video=TIME (s, min, h)
+    #[arg(long, value_name = "BUDGET", conflicts_with_all = ["reference", "watch"])]
+    budget: Option<Budget>,
     #[command(flatten)]
     reducing: ReducingArgs,
     /// Groups: a list's COLUMN, path:N (N-th directory below SOURCE) or prefix:SEP (file name before SEP)
@@ -160,6 +166,15 @@ impl ScoreArgs {
         let Measuring { mut profile, slots } = self.measuring.usable(self.jobs)?;
         let fault_calibration = self.thresholds.apply(&mut profile)?;
         let reduce = self.reducing.options(Some(&profile))?;
+        let cascade = self
+            .budget
+            .map(|budget| CascadeOptions::up_to(&profile, budget));
+        let cascade = cascade.transpose().map_err(Failure::usage)?;
+        if cascade.is_some() && reduce.normalise_within == NormaliseWithin::Group {
+            return Err(Failure::usage(
+                "--budget calibrates profiles on a sample of the whole corpus: leave out --normalise-within group",
+            ));
+        }
         Ok(ScoreOptions {
             sources: self.sources,
             out: self.out,
@@ -171,6 +186,7 @@ impl ScoreArgs {
             fault_calibration,
             heat_maps: self.heatmaps,
             slots,
+            cascade,
             fleet: None,
             metrics: Metrics::default(),
         })

@@ -35,6 +35,16 @@ pub fn manifest_columns<'a>(rows: &[Row]) -> Vec<Column<ManifestRow<'a>>> {
             r.row.measured.status_reason.as_deref().into()
         }),
     ];
+    if rows.iter().any(|row| row.rung.is_some()) {
+        columns.extend([
+            Column::field("rung", Text, |r: &ManifestRow<'a>| {
+                r.row.rung.as_deref().into()
+            }),
+            Column::field("flip_probability", Float64, |r: &ManifestRow<'a>| {
+                r.row.flip_probability.into()
+            }),
+        ]);
+    }
     let reserved: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
     let carried = carried_columns(rows.iter().map(|row| &row.carried), &reserved);
     columns.extend(

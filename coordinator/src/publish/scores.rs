@@ -14,6 +14,7 @@ pub fn score_columns(rows: &[Row]) -> Vec<Column<Row>> {
         .into_iter()
         .chain(measured())
         .chain(judged())
+        .chain(on_ladder())
         .map(|column| column.name)
         .collect();
     let carried = carried_columns(rows.iter().map(|row| &row.carried), &reserved);
@@ -25,6 +26,9 @@ pub fn score_columns(rows: &[Row]) -> Vec<Column<Row>> {
     );
     columns.extend(measured());
     columns.extend(judged());
+    if rows.iter().any(|row| row.rung.is_some()) {
+        columns.extend(on_ladder());
+    }
     columns
 }
 
@@ -132,6 +136,14 @@ fn judged() -> Vec<Column<Row>> {
         }),
         Column::field("recipe", Text, |r| r.recipe.as_str().into()),
         Column::field("profile_digest", Text, |r| r.profile_digest.as_str().into()),
+    ]
+}
+
+/// What a cascade says of it.
+fn on_ladder() -> Vec<Column<Row>> {
+    vec![
+        Column::field("rung", Text, |r| r.rung.as_deref().into()),
+        Column::field("flip_probability", Float64, |r| r.flip_probability.into()),
     ]
 }
 

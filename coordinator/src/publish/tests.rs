@@ -47,6 +47,8 @@ fn row(video: &str, carried: Value) -> Row {
         reward: None,
         recipe: "paper".to_owned(),
         profile_digest: "d1ge57".to_owned(),
+        rung: None,
+        flip_probability: None,
     }
 }
 

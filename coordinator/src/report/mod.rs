@@ -8,6 +8,7 @@
 //! bytes. Pixel figures are pixels of a 256-px-high picture.
 
 mod axis;
+mod cascade;
 mod distribution;
 mod drift;
 mod evaluation;
@@ -103,6 +104,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
     let judged = Judged::of(input.rows);
     let sections = [
         overview::section(input),
+        cascade::section(input),
         ranking::worst(input, &judged),
         faults::section(input.rows),
         distribution::section(&judged),

@@ -22,6 +22,7 @@ fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> S
         },
         attempts: 2,
         worker: "w".to_owned(),
+        rung: None,
     }]);
     render(&ReportInput {
         title,

@@ -2,7 +2,7 @@
 //!
 //! `score`: what the README says, from nothing to scores with two workers, and the same bytes as without a
 //! fleet; `resume`: a coordinator that is killed, and two for one run; `dead`: jobs that no worker gets done,
-//! and their second chance; `setup`: a fleet of its own for each test.
+//! and their second chance; `cascade`: waves with several profiles; `setup`: a fleet of its own for each test.
 
 #![allow(
     clippy::unwrap_used,
@@ -11,6 +11,7 @@
     reason = "a test fails by panicking"
 )]
 
+mod cascade;
 mod dead;
 mod resume;
 mod score;

@@ -19,6 +19,7 @@ fn corpus() -> CorpusFile {
         }),
         conditioning_frames: Some(1),
         fault_calibration: None,
+        cascade: None,
         statistics: CorpusStatistics {
             degenerate: false,
             uncertain_decisions: None,
@@ -64,6 +65,7 @@ fn publish_into(out: &OutDir, formats: &[Format]) -> Result<Vec<String>, Publish
         },
         attempts: 2,
         worker: "w1".to_owned(),
+        rung: None,
     }];
     let run = Publication {
         rows: &rows,
