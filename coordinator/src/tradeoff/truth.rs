@@ -1,0 +1,321 @@
+//! How far a point is from the truth of rendered scenes: flow, camera, depth.
+//!
+//! Flow: mean end-point error against the exact flow, over the pixels that are visible in both pictures, and
+//! over those of them that move, px of a 256-px-high picture. Camera: absolute trajectory error of travelling
+//! cameras after the similarity that makes it least, in percent of the length of the true path. Depth: median
+//! |d/d̂ − 1| over the cells that the adjustment calls observable, after the one scale of the clip that makes
+//! it right in the median. The camera's intrinsics are given.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use plumbline_common::id::VideoId;
+use plumbline_sample::corpus::ClipSpec;
+use plumbline_sample::geometry::Pose;
+use plumbline_sample::render::Camera;
+use plumbline_sample::scene::{Family, Scene};
+use plumbline_sample::{FlowTruth, SampleError};
+use plumbline_vision::flow::accuracy::FlowAccuracy;
+use plumbline_vision::flow::dis::{Dis, DisFrame};
+use plumbline_vision::flow::file::KnownFlow;
+use plumbline_vision::flow::{Flow, FlowError};
+use plumbline_vision::image::{Rgb8, resize_rgb};
+use plumbline_vision::signals::median;
+use plumbline_vision::slam::intrinsics::Intrinsics;
+use plumbline_vision::slam::se3::Se3;
+use plumbline_vision::slam::trajectory::{TimedPose, absolute_error};
+use plumbline_worker::profile::Profile;
+use plumbline_worker::slam::{DepthVerdict, SlamOutcome, Tracked};
+use serde::{Deserialize, Serialize};
+
+use super::rendered::profile_for;
+use super::{Rendered, TradeoffError, TradeoffOptions};
+use crate::fanout::{Fanout, Tracking};
+use crate::measuring;
+use crate::run::RunError;
+
+/// Earlier frames of the pairs whose flow is compared, of clips of 32 frames.
+const PAIR_FRAMES: [usize; 3] = [7, 15, 23];
+/// Height of the picture in whose pixels errors are given.
+const REFERENCE_HEIGHT_PX: f64 = 256.0;
+/// A pixel moves from here on, px of that picture.
+const MOVING_PX: f64 = 0.5;
+/// Depths are known to this relative deviation or better where they are called observable.
+const OBSERVABLE_DEVIATION: f32 = 1.0;
+
+/// Two pictures and the exact flow between them.
+pub(super) struct FlowPair {
+    first: Rgb8,
+    second: Rgb8,
+    /// Known where visible in both.
+    truth: KnownFlow,
+}
+
+/// What a point makes of the scenes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TruthErrors {
+    /// Mean end-point error, px of a 256-px-high picture.
+    pub flow_epe_px: Option<f64>,
+    /// The same over pixels that move.
+    pub flow_epe_moving_px: Option<f64>,
+    /// Scenes with a travelling camera.
+    pub travelling: usize,
+    /// Of those, the ones whose depths were estimated.
+    pub tracked: usize,
+    /// Absolute trajectory error, percent of the path, mean over them.
+    pub pose_error_percent: Option<f64>,
+    /// Median relative depth error, mean over them.
+    pub depth_error: Option<f64>,
+}
+
+/// Renders the pairs of scenes.
+///
+/// # Errors
+/// [`SampleError`], of a defect of the scenes alone.
+pub(super) fn flow_pairs(scenes: &[ClipSpec]) -> Result<Vec<FlowPair>, SampleError> {
+    let pairs = scenes
+        .iter()
+        .flat_map(|scene| PAIR_FRAMES.map(|frame| (scene, frame)));
+    pairs
+        .map(|(scene, frame)| {
+            let picture = |frame| -> Result<Rgb8, SampleError> {
+                let shown = scene.render_frame(frame)?;
+                Ok(Rgb8 {
+                    width: shown.width,
+                    height: shown.height,
+                    data: shown.rgb,
+                })
+            };
+            let truth = scene.truth(frame)?.flow;
+            let FlowTruth {
+                flow_px, visible, ..
+            } = truth.ok_or(SampleError::FrameOutOfRange {
+                frame: frame + 1,
+                frames: scene.frames,
+            })?;
+            Ok(FlowPair {
+                first: picture(frame)?,
+                second: picture(frame + 1)?,
+                truth: KnownFlow {
+                    flow: Flow {
+                        width: scene.width,
+                        height: scene.height,
+                        data: flow_px,
+                    },
+                    known: visible,
+                },
+            })
+        })
+        .collect()
+}
+
+/// Mean end-point errors of a profile's flow: over all known pixels, and over those that move. Each pair
+/// weighs the same.
+pub(super) fn flow_errors(
+    pairs: &[FlowPair],
+    profile: &Profile,
+) -> Result<[Option<f64>; 2], FlowError> {
+    let mut dis = Dis::new(profile.flow.clone());
+    let mut errors: [Vec<f64>; 2] = Default::default();
+    for pair in pairs {
+        let (width, height) = (pair.first.width, pair.first.height);
+        let (working_width, working_height) = profile.working_size(width, height);
+        let frame = |picture: &Rgb8| {
+            let small = resize_rgb(picture, working_width, working_height);
+            DisFrame::new(&small.grey(), &profile.flow)
+        };
+        let found = dis.flow(&frame(&pair.first)?, &frame(&pair.second)?)?;
+        let found = on_grid(&found, width, height);
+        let unit_px = REFERENCE_HEIGHT_PX / height as f64;
+        let moving = pair.truth.flow.data.iter().zip(&pair.truth.known);
+        let moving = moving.map(|(&[u, v], &known)| {
+            let (u, v) = (f64::from(u) * unit_px, f64::from(v) * unit_px);
+            known && u * u + v * v >= MOVING_PX * MOVING_PX
+        });
+        let moving = KnownFlow {
+            flow: pair.truth.flow.clone(),
+            known: moving.collect(),
+        };
+        for (errors, truth) in errors.iter_mut().zip([&pair.truth, &moving]) {
+            let accuracy = FlowAccuracy::new(&found, truth)?;
+            errors.extend(accuracy.map(|accuracy| accuracy.mean_epe_px * unit_px));
+        }
+    }
+    Ok(errors.map(|errors| mean(&errors)))
+}
+
+/// A flow on another grid of the same picture: bilinear, pixel centres at half-pixels, vectors in the new
+/// grid's pixels; beyond the outermost centres their value.
+fn on_grid(flow: &Flow, width: usize, height: usize) -> Flow {
+    let scale = [
+        width as f32 / flow.width as f32,
+        height as f32 / flow.height as f32,
+    ];
+    let place = |to: usize, scale: f32, length: usize| {
+        let last = (length - 1) as f32;
+        let at = ((to as f32 + 0.5) / scale - 0.5).clamp(0.0, last);
+        let low = at as usize;
+        (low, (low + 1).min(length - 1), at - low as f32)
+    };
+    let mut data = Vec::with_capacity(width * height);
+    for y in 0..height {
+        let (y0, y1, fy) = place(y, scale[1], flow.height);
+        for x in 0..width {
+            let (x0, x1, fx) = place(x, scale[0], flow.width);
+            let at = |x: usize, y: usize, k: usize| flow.data[y * flow.width + x][k];
+            data.push([0, 1].map(|k| {
+                let top = at(x0, y0, k) * (1.0 - fx) + at(x1, y0, k) * fx;
+                let bottom = at(x0, y1, k) * (1.0 - fx) + at(x1, y1, k) * fx;
+                (top * (1.0 - fy) + bottom * fy) * scale[k]
+            }));
+        }
+    }
+    Flow {
+        width,
+        height,
+        data,
+    }
+}
+
+/// Holds a point against the truth.
+///
+/// # Errors
+/// [`TradeoffError`]: a scene that cannot be tracked is counted, not an error.
+pub(super) async fn errors(
+    rendered: &Arc<Rendered>,
+    profile: &Profile,
+    options: &TradeoffOptions,
+) -> Result<TruthErrors, TradeoffError> {
+    let (rendered_for_flow, profile_for_flow) = (Arc::clone(rendered), profile.clone());
+    let flow =
+        tokio::task::spawn_blocking(move || flow_errors(&rendered_for_flow.pairs, &profile_for_flow));
+    let [flow_epe_px, flow_epe_moving_px] = flow.await??;
+    let scenes = &rendered.scenes;
+    let travelling: HashMap<&VideoId, &ClipSpec> = scenes
+        .iter()
+        .filter(|clip| clip.spec.family == Family::Dolly)
+        .map(|clip| (&clip.entry.video, &clip.spec))
+        .collect();
+    let mut jobs = Vec::new();
+    for clip in scenes.iter().filter(|c| travelling.contains_key(&c.entry.video)) {
+        let camera = Camera::new(clip.spec.width, clip.spec.height)?;
+        let profile = Profile {
+            intrinsics: Some(Intrinsics {
+                fx: camera.fx,
+                fy: camera.fy,
+                cx: camera.cx,
+                cy: camera.cy,
+            }),
+            ..profile_for(profile)
+        };
+        let job = measuring::job(&clip.entry, &profile).map_err(RunError::Profile)?;
+        jobs.extend(job.map(Tracking));
+    }
+    let mut by_video: Vec<(VideoId, [f64; 2])> = Vec::new();
+    let mut slots = Fanout::start(jobs, &options.slots);
+    while let Some(answer) = slots.next().await {
+        let (video, outcome) = answer.map_err(RunError::Slot)?;
+        let (SlamOutcome::Tracked(tracked), Some(spec)) = (outcome, travelling.get(&video)) else {
+            continue;
+        };
+        by_video.extend(camera_errors(&tracked, spec)?.map(|errors| (video, errors)));
+    }
+    // The order of completion differs between runs; sums do not.
+    by_video.sort_by(|a, b| a.0.cmp(&b.0));
+    let of = |k: usize| mean(&by_video.iter().map(|(_, e)| e[k]).collect::<Vec<_>>());
+    Ok(TruthErrors {
+        flow_epe_px,
+        flow_epe_moving_px,
+        travelling: travelling.len(),
+        tracked: by_video.len(),
+        pose_error_percent: of(0),
+        depth_error: of(1),
+    })
+}
+
+/// Trajectory error in percent of the path, and depth error; `None` where no depth was estimated.
+fn camera_errors(tracked: &Tracked, spec: &ClipSpec) -> Result<Option<[f64; 2]>, SampleError> {
+    if tracked.depth != DepthVerdict::Estimated {
+        return Ok(None);
+    }
+    let scene = Scene::new(spec.family, spec.seed);
+    let pose = |frame: usize| {
+        let progress = frame as f64 / (spec.frames - 1) as f64;
+        let pose = Pose::from_rigid(&scene.snapshot(progress, None).camera_from_world);
+        let [tx, ty, tz] = pose.translation_m;
+        let [qx, qy, qz, qw] = pose.quaternion_xyzw();
+        Se3::from_array([tx, ty, tz, qx, qy, qz, qw]).inverse()
+    };
+    let truth: Vec<TimedPose> = tracked
+        .times_s
+        .iter()
+        .take(spec.frames)
+        .enumerate()
+        .map(|(frame, &time_s)| TimedPose {
+            time_s,
+            world_from_camera: pose(frame),
+        })
+        .collect();
+    let path_m: f64 = truth
+        .windows(2)
+        .map(|pair| {
+            let [a, b] = [&pair[0], &pair[1]].map(|pose| pose.world_from_camera.translation);
+            (a - b).norm()
+        })
+        .sum();
+    let estimate: Vec<TimedPose> = tracked
+        .poses
+        .iter()
+        .filter_map(|&(frame, pose)| {
+            Some(TimedPose {
+                time_s: *tracked.times_s.get(frame as usize)?,
+                world_from_camera: Se3::from_array(pose).inverse(),
+            })
+        })
+        .collect();
+    let Ok(error) = absolute_error(&estimate, &truth) else {
+        return Ok(None);
+    };
+    let depth = depth_error(tracked, spec)?;
+    Ok(depth
+        .filter(|_| path_m > 0.0)
+        .map(|depth| [100.0 * error.rmse / path_m, depth]))
+}
+
+fn depth_error(tracked: &Tracked, spec: &ClipSpec) -> Result<Option<f64>, SampleError> {
+    let (columns, rows) = tracked.grid;
+    let [x0, y0, dx, dy] = tracked.grid_px;
+    let mut ratios = Vec::new();
+    for (index, &frame) in tracked.keyframes.iter().enumerate() {
+        let depth_m = spec.truth(frame as usize)?.depth_m;
+        for cell in 0..columns * rows {
+            let place = index * columns * rows + cell;
+            let known = tracked.relative_deviation.get(place).copied().flatten();
+            let (Some(&inverse), Some(_)) = (
+                tracked.inverse_depths.get(place),
+                known.filter(|&deviation| deviation <= OBSERVABLE_DEVIATION),
+            ) else {
+                continue;
+            };
+            let pixel = |first: f64, step: f64, at: usize, length: usize| {
+                (first + step * at as f64).round().clamp(0.0, (length - 1) as f64) as usize
+            };
+            let x = pixel(x0, dx, cell % columns, spec.width);
+            let y = pixel(y0, dy, cell / columns, spec.height);
+            let ratio = f64::from(inverse) * f64::from(depth_m[y * spec.width + x]);
+            if ratio > 0.0 && ratio.is_finite() {
+                ratios.push(ratio);
+            }
+        }
+    }
+    let Some(scale) = median(&mut ratios.clone()) else {
+        return Ok(None);
+    };
+    // d̂ = 1 / inverse: d/d̂ is the ratio, once the scale is taken out.
+    let mut errors: Vec<f64> = ratios.iter().map(|ratio| (ratio / scale - 1.0).abs()).collect();
+    Ok(median(&mut errors))
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
