@@ -1,5 +1,6 @@
 //! Plumbline's coordinator: freezes a corpus, hands out jobs, collects rows, reduces, publishes.
 
+pub mod agreement;
 mod answers;
 pub mod cli;
 pub mod collect;
