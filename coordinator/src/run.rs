@@ -340,7 +340,7 @@ pub(crate) async fn finish(
 
 /// Every entry with its measurement, in the corpus' order, so that nothing is lost; and what each
 /// measurement cost.
-fn collected(
+pub(crate) fn collected(
     entries: &[Entry],
     journal: &Journal,
 ) -> Result<(Vec<MeasuredVideo>, Vec<CostRow>), JournalError> {

@@ -13,7 +13,8 @@ use crate::reduce::recipe::{BySignal, Signal};
 use crate::reduce_files;
 
 /// What a judgement, or an outcome, has to be.
-pub(crate) const WANTED_LABEL: &str = "give a number from 0 (failure) to 1 (success), 0.5 for half a success";
+pub(crate) const WANTED_LABEL: &str =
+    "give a number from 0 (failure) to 1 (success), 0.5 for half a success";
 
 /// One row of the scores.
 pub(super) struct ScoreRow {

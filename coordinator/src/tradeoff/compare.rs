@@ -127,8 +127,8 @@ fn pairs(rows: &[Row], top: &[Row], of: impl Fn(&Row) -> Option<f64>) -> Vec<(f6
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reduce::{MeasuredVideo, PAPER_BINS, ReduceOptions, reduce};
     use crate::reduce::outcome::{NormaliseWithin, Range, Recipe};
+    use crate::reduce::{MeasuredVideo, PAPER_BINS, ReduceOptions, reduce};
     use plumbline_common::row::{Measurement, Status};
 
     fn rows(values: &[f64]) -> Vec<Row> {
@@ -191,7 +191,11 @@ mod tests {
     fn labels_of_failure_lie_above_those_of_success() {
         let rows = rows(&[1.0, 2.0, 3.0, 4.0]);
         let label = |name: &str, value| (VideoId::new(name).unwrap(), value);
-        let labels = [label("0.mp4", 1.0), label("2.mp4", 0.5), label("3.mp4", 0.0)];
+        let labels = [
+            label("0.mp4", 1.0),
+            label("2.mp4", 0.5),
+            label("3.mp4", 0.0),
+        ];
         let found = foretells(&rows, &labels.into()).unwrap();
         assert_eq!((found.area, found.positives, found.negatives), (1.0, 1, 1));
         assert_eq!(foretells(&rows, &BTreeMap::new()), None);

@@ -119,7 +119,10 @@ fn rate(clips: &[Judged]) -> FaultsFound {
             .filter_map(|clip| Some((clip, clip.truth.as_ref()?)))
             .filter(|(_, truth)| truth.kind == kind)
             .collect();
-        let scores: Vec<f64> = faulty.iter().map(|(clip, _)| clip.score(detector)).collect();
+        let scores: Vec<f64> = faulty
+            .iter()
+            .map(|(clip, _)| clip.score(detector))
+            .collect();
         let others: Vec<f64> = clean.iter().map(|clip| clip.score(detector)).collect();
         let Some(found) = auroc(&scores, &others, [0; 32]) else {
             continue;
@@ -139,8 +142,7 @@ fn rate(clips: &[Judged]) -> FaultsFound {
             hits.push(found.temporal_hit);
         }
     }
-    let mean =
-        |of: &[f64]| (!of.is_empty()).then(|| of.iter().sum::<f64>() / of.len() as f64);
+    let mean = |of: &[f64]| (!of.is_empty()).then(|| of.iter().sum::<f64>() / of.len() as f64);
     FaultsFound {
         kinds,
         auroc: mean(&areas),
@@ -186,7 +188,10 @@ mod tests {
         ];
         let found = rate(&clips);
         let teleport = found.kinds["teleport"];
-        assert_eq!((teleport.clips, teleport.auroc, teleport.temporal_hit), (2, 0.75, 0.5));
+        assert_eq!(
+            (teleport.clips, teleport.auroc, teleport.temporal_hit),
+            (2, 0.75, 0.5)
+        );
         let blur = found.kinds["blur_frame"];
         assert_eq!((blur.auroc, blur.temporal_hit), (0.5, 0.0));
         assert_eq!(found.kinds.len(), 3);

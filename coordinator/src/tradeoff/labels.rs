@@ -31,14 +31,20 @@ pub(super) fn read(path: &Path, column: &str) -> Result<BTreeMap<VideoId, f64>, 
             }
         };
         let label = share(value).ok_or_else(|| {
-            wrong(format!("row {}: {column} is {value}; {WANTED_LABEL}", index + 1))
+            wrong(format!(
+                "row {}: {column} is {value}; {WANTED_LABEL}",
+                index + 1
+            ))
         })?;
         let video = VideoId::new(line.video.trim_start_matches("./"))
             .map_err(|error| wrong(format!("row {}: {error}", index + 1)))?;
         labels.entry(video).or_default().push(label);
     }
     let mean = |labels: Vec<f64>| labels.iter().sum::<f64>() / labels.len() as f64;
-    Ok(labels.into_iter().map(|(video, own)| (video, mean(own))).collect())
+    Ok(labels
+        .into_iter()
+        .map(|(video, own)| (video, mean(own)))
+        .collect())
 }
 
 #[cfg(test)]

@@ -24,9 +24,6 @@ mod sample;
 mod table;
 mod truth;
 
-#[cfg(test)]
-mod tests;
-
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -216,7 +213,9 @@ pub enum TradeoffError {
         out: String,
     },
     /// Nothing to compare.
-    #[error("one point alone compares with nothing: add --profile FILE.toml, or leave out --grid none")]
+    #[error(
+        "one point alone compares with nothing: add --profile FILE.toml, or leave out --grid none"
+    )]
     OnePoint,
     /// OUT cannot be written.
     #[error(transparent)]
@@ -450,7 +449,11 @@ fn judge(
             edge_spans: profile.edge_spans.clone(),
             scored: of.rows.iter().filter(|row| row.anomaly.is_some()).count(),
             cpu_s_per_video: cpu_s,
-            relative_cost: if top_cpu_s > 0.0 { cpu_s / top_cpu_s } else { 1.0 },
+            relative_cost: if top_cpu_s > 0.0 {
+                cpu_s / top_cpu_s
+            } else {
+                1.0
+            },
             stages_s: stages(&of.costs, cpu_s),
             on_front: false,
             agreement: compare(&of.rows, &top.rows, keep),
@@ -484,7 +487,10 @@ fn judge(
     Ok(Tradeoff {
         source: options.sources.clone(),
         corpus_videos,
-        sample: sample.iter().map(|s| s.entry.video.as_str().to_owned()).collect(),
+        sample: sample
+            .iter()
+            .map(|s| s.entry.video.as_str().to_owned())
+            .collect(),
         recipe: options.reduce.recipe,
         keep: keep.to_string(),
         top_uncertain,
@@ -519,7 +525,13 @@ fn cpu_s_per_video(costs: &[Cost]) -> f64 {
 fn stages(costs: &[Cost], cpu_s_per_video: f64) -> Stages {
     let sum = |of: fn(&Cost) -> f64| costs.iter().map(of).sum::<f64>();
     let total = sum(|cost| cost.total_s);
-    let share = |of: fn(&Cost) -> f64| if total > 0.0 { cpu_s_per_video * sum(of) / total } else { 0.0 };
+    let share = |of: fn(&Cost) -> f64| {
+        if total > 0.0 {
+            cpu_s_per_video * sum(of) / total
+        } else {
+            0.0
+        }
+    };
     Stages {
         decode: share(|cost| cost.decode_s),
         flow: share(|cost| cost.flow_s),
@@ -559,11 +571,7 @@ fn profile_to_type(point: &GridPoint) -> String {
     }
 }
 
-fn publish(
-    options: &TradeoffOptions,
-    out: &OutDir,
-    found: &Tradeoff,
-) -> Result<(), TradeoffError> {
+fn publish(options: &TradeoffOptions, out: &OutDir, found: &Tradeoff) -> Result<(), TradeoffError> {
     for point in &options.points {
         let name = profile_to_type(point);
         if name != point.name {

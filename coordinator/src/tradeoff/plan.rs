@@ -129,11 +129,19 @@ pub(super) fn plan(spent: &[Spent], working: Working, question: &Question) -> Op
         None => like_sample,
         Some(shape) => fit(spent, working)?.expected_s(shape, working),
     };
-    let scale = if like_sample > 0.0 { each_s / like_sample } else { 1.0 };
+    let scale = if like_sample > 0.0 {
+        each_s / like_sample
+    } else {
+        1.0
+    };
     let videos = question.videos as f64;
     let cpu_interval_90_s = (lo * scale * videos, hi * scale * videos);
     let busy = spent.iter().map(|s| s.total_s).sum::<f64>()
-        / spent.iter().map(|s| s.cpu_s).sum::<f64>().max(f64::MIN_POSITIVE);
+        / spent
+            .iter()
+            .map(|s| s.cpu_s)
+            .sum::<f64>()
+            .max(f64::MIN_POSITIVE);
     // No more cores are at work than there are videos.
     let cores = f64::from(question.cores).min(videos.max(1.0));
     let wall = |cpu_s: f64| cpu_s * busy.max(1.0) / cores;

@@ -90,7 +90,10 @@ impl Rendering {
 ///
 /// # Errors
 /// [`TradeoffError`] where a clip cannot be written.
-pub(super) fn write(specs: Vec<ClipSpec>, state: &Path) -> Result<Vec<RenderedClip>, TradeoffError> {
+pub(super) fn write(
+    specs: Vec<ClipSpec>,
+    state: &Path,
+) -> Result<Vec<RenderedClip>, TradeoffError> {
     let place = OutDir::create(state.join("rendered").join(env!("CARGO_PKG_VERSION")))?;
     let clip = |spec: ClipSpec| {
         let key = blake3::hash(&serde_json::to_vec(&spec).map_err(RunError::Profile)?);

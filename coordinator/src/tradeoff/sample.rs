@@ -111,7 +111,11 @@ mod tests {
         assert_eq!(draw(&entries, 8, 1), drawn);
         assert_ne!(names(&draw(&entries, 8, 2)), names(&drawn));
         let more = draw(&entries, 16, 1);
-        assert!(drawn.iter().all(|s| names(&more).contains(&s.entry.video.as_str())));
+        assert!(
+            drawn
+                .iter()
+                .all(|s| names(&more).contains(&s.entry.video.as_str()))
+        );
     }
 
     #[test]

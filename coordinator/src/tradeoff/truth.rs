@@ -187,8 +187,9 @@ pub(super) async fn errors(
     options: &TradeoffOptions,
 ) -> Result<TruthErrors, TradeoffError> {
     let (rendered_for_flow, profile_for_flow) = (Arc::clone(rendered), profile.clone());
-    let flow =
-        tokio::task::spawn_blocking(move || flow_errors(&rendered_for_flow.pairs, &profile_for_flow));
+    let flow = tokio::task::spawn_blocking(move || {
+        flow_errors(&rendered_for_flow.pairs, &profile_for_flow)
+    });
     let [flow_epe_px, flow_epe_moving_px] = flow.await??;
     let scenes = &rendered.scenes;
     let travelling: HashMap<&VideoId, &ClipSpec> = scenes
@@ -197,7 +198,10 @@ pub(super) async fn errors(
         .map(|clip| (&clip.entry.video, &clip.spec))
         .collect();
     let mut jobs = Vec::new();
-    for clip in scenes.iter().filter(|c| travelling.contains_key(&c.entry.video)) {
+    for clip in scenes
+        .iter()
+        .filter(|c| travelling.contains_key(&c.entry.video))
+    {
         let camera = Camera::new(clip.spec.width, clip.spec.height)?;
         let profile = Profile {
             intrinsics: Some(Intrinsics {
@@ -298,7 +302,9 @@ fn depth_error(tracked: &Tracked, spec: &ClipSpec) -> Result<Option<f64>, Sample
                 continue;
             };
             let pixel = |first: f64, step: f64, at: usize, length: usize| {
-                (first + step * at as f64).round().clamp(0.0, (length - 1) as f64) as usize
+                (first + step * at as f64)
+                    .round()
+                    .clamp(0.0, (length - 1) as f64) as usize
             };
             let x = pixel(x0, dx, cell % columns, spec.width);
             let y = pixel(y0, dy, cell / columns, spec.height);
@@ -312,7 +318,10 @@ fn depth_error(tracked: &Tracked, spec: &ClipSpec) -> Result<Option<f64>, Sample
         return Ok(None);
     };
     // d̂ = 1 / inverse: d/d̂ is the ratio, once the scale is taken out.
-    let mut errors: Vec<f64> = ratios.iter().map(|ratio| (ratio / scale - 1.0).abs()).collect();
+    let mut errors: Vec<f64> = ratios
+        .iter()
+        .map(|ratio| (ratio / scale - 1.0).abs())
+        .collect();
     Ok(median(&mut errors))
 }
 
