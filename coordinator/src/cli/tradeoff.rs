@@ -67,6 +67,9 @@ pub(super) struct TradeoffArgs {
     /// Rendered corpora (24 clips each) with known faults
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=100))]
     rendered: u16,
+    /// Size of all rendered clips [default: 256x192 with faults, 640x480 for flow, pose and depth]
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parse_size, conflicts_with = "no_rendered")]
+    rendered_size: Option<(u32, u32)>,
     /// Videos of the run to plan [default: all of SOURCE]
     #[arg(long, value_name = "N")]
     videos: Option<u64>,
@@ -206,10 +209,14 @@ impl TradeoffArgs {
         let points = self.points()?;
         let (_, slots) = self.load(&self.top)?;
         let cores = u32::try_from(slots.count).unwrap_or(u32::MAX);
-        let rendering = Rendering {
+        let mut rendering = Rendering {
             corpora: self.rendered.into(),
             ..Rendering::default()
         };
+        if let Some((width, height)) = self.rendered_size {
+            let size_px = (width as usize, height as usize);
+            (rendering.corpus_size_px, rendering.scene_size_px) = (size_px, size_px);
+        }
         Ok(TradeoffOptions {
             sources: self.sources,
             out: self.out,

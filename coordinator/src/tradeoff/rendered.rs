@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use plumbline_common::id::VideoId;
 use plumbline_common::message::Location;
-use plumbline_sample::corpus::{ClipSpec, sample_corpus};
+use plumbline_sample::corpus::{ClipSpec, HEIGHT_PX, WIDTH_PX, sample_corpus};
 use plumbline_sample::scene::Family;
 use plumbline_worker::profile::Profile;
 
@@ -26,8 +26,10 @@ pub struct Rendering {
     pub corpora: u64,
     /// Scenes of each family for the errors of flow, pose and depth.
     pub scenes: u64,
-    /// Columns and rows of those.
-    pub size_px: (usize, usize),
+    /// Columns and rows of the corpora.
+    pub corpus_size_px: (usize, usize),
+    /// Columns and rows of the scenes.
+    pub scene_size_px: (usize, usize),
 }
 
 /// A camera's usual size, above what every rung but `accurate` works at.
@@ -40,7 +42,8 @@ impl Default for Rendering {
         Self {
             corpora: 2,
             scenes: 2,
-            size_px: SCENE_SIZE_PX,
+            corpus_size_px: (WIDTH_PX, HEIGHT_PX),
+            scene_size_px: SCENE_SIZE_PX,
         }
     }
 }
@@ -58,7 +61,7 @@ impl Rendering {
         let corpora = (0..self.corpora).flat_map(|seed| {
             sample_corpus(seed).into_iter().map(move |clip| ClipSpec {
                 name: format!("{seed}-{}", clip.name),
-                ..clip
+                ..clip.with_size(self.corpus_size_px.0, self.corpus_size_px.1)
             })
         });
         corpora.collect()
@@ -73,7 +76,7 @@ impl Rendering {
             Family::Pan,
             Family::Dolly,
         ];
-        let (width, height) = self.size_px;
+        let (width, height) = self.scene_size_px;
         let scenes = families.into_iter().flat_map(|family| {
             SCENE_SEEDS
                 .take(self.scenes as usize)
