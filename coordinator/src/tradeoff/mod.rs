@@ -24,6 +24,9 @@ mod sample;
 mod table;
 mod truth;
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;

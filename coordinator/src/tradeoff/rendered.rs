@@ -141,3 +141,30 @@ pub(super) fn profile_for(point: &Profile) -> Profile {
         ..point.clone()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clips_are_named_apart_and_written_once() {
+        let rendering = Rendering {
+            corpora: 2,
+            scenes: 1,
+            corpus_size_px: (32, 24),
+            scene_size_px: (32, 24),
+        };
+        let specs = [rendering.with_faults(), rendering.scenes()].concat();
+        let names: std::collections::BTreeSet<_> = specs.iter().map(|spec| &spec.name).collect();
+        assert_eq!((names.len(), specs.len()), (53, 53));
+        let state = tempfile::tempdir().unwrap();
+        let scenes: Vec<ClipSpec> = rendering
+            .scenes()
+            .into_iter()
+            .take(1)
+            .map(|scene| ClipSpec { frames: 3, ..scene })
+            .collect();
+        let first = write(scenes.clone(), state.path()).unwrap();
+        assert_eq!(write(scenes, state.path()).unwrap(), first);
+    }
+}

@@ -328,3 +328,141 @@ fn depth_error(tracked: &Tracked, spec: &ClipSpec) -> Result<Option<f64>, Sample
 fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
+
+#[cfg(test)]
+mod tests {
+    use plumbline_vision::scene::SceneKind;
+    use plumbline_vision::slam::intrinsics::IntrinsicsOrigin;
+    use plumbline_worker::decode::VideoInfo;
+    use plumbline_worker::slam::StageSeconds;
+
+    use super::*;
+
+    /// A field that is linear in the picture's coordinates is the same on any grid, away from the border.
+    #[test]
+    fn a_linear_flow_survives_another_grid() {
+        let linear = |width: usize, height: usize| Flow {
+            width,
+            height,
+            data: (0..width * height)
+                .map(|k| {
+                    let x = ((k % width) as f32 + 0.5) / width as f32;
+                    let y = ((k / width) as f32 + 0.5) / height as f32;
+                    [(x + 2.0 * y) * width as f32, (3.0 - y) * height as f32]
+                })
+                .collect(),
+        };
+        let (found, expected) = (on_grid(&linear(12, 8), 36, 16), linear(36, 16));
+        for y in 1..15 {
+            for x in 2..34 {
+                let [a, b] = [&found, &expected].map(|flow| flow.data[y * 36 + x]);
+                // Rounding of values up to 100.
+                assert!(
+                    (a[0] - b[0]).abs() < 1e-4 && (a[1] - b[1]).abs() < 1e-4,
+                    "{x} {y}"
+                );
+            }
+        }
+        assert_eq!(on_grid(&expected, 36, 16), expected);
+    }
+
+    /// The true poses and depths in another unit, one depth in ten off by `factor`.
+    fn tracked(spec: &ClipSpec, factor: f64) -> Tracked {
+        const UNIT_M: f64 = 2.5;
+        const STEP_PX: f64 = 8.0;
+        let scene = Scene::new(spec.family, spec.seed);
+        let pose = |frame: usize| {
+            let progress = frame as f64 / (spec.frames - 1) as f64;
+            let pose = Pose::from_rigid(&scene.snapshot(progress, None).camera_from_world);
+            let [tx, ty, tz] = pose.translation_m.map(|t| t / UNIT_M);
+            let [qx, qy, qz, qw] = pose.quaternion_xyzw();
+            [tx, ty, tz, qx, qy, qz, qw]
+        };
+        let (columns, rows) = (spec.width / 8, spec.height / 8);
+        let keyframes: Vec<u32> = (0..spec.frames as u32).step_by(3).collect();
+        let mut inverse_depths = Vec::new();
+        for &frame in &keyframes {
+            let depth_m = spec.truth(frame as usize).unwrap().depth_m;
+            for cell in 0..columns * rows {
+                let (x, y) = (4 + 8 * (cell % columns), 4 + 8 * (cell / columns));
+                let off = if cell % 10 == 0 { factor } else { 1.0 };
+                let depth = f64::from(depth_m[y * spec.width + x]) / UNIT_M * off;
+                inverse_depths.push((1.0 / depth) as f32);
+            }
+        }
+        let camera = Camera::new(spec.width, spec.height).unwrap();
+        Tracked {
+            info: VideoInfo {
+                container: String::new(),
+                codec: String::new(),
+                pixel_format: String::new(),
+                width: spec.width as u32,
+                height: spec.height as u32,
+                coded_width: spec.width as u32,
+                coded_height: spec.height as u32,
+                sample_aspect_ratio: 1.0,
+                rotation_deg: 0,
+                mirrored: false,
+                frames: spec.frames as u32,
+                fps: Some(spec.fps),
+                duration_s: None,
+                variable_frame_rate: false,
+                dropped_frames: 0,
+                damaged_frames: 0,
+                rejected_packets: 0,
+                silent_packets: 0,
+                stopped_early: false,
+            },
+            times_s: (0..spec.frames).map(|k| k as f64 / spec.fps).collect(),
+            scene: SceneKind::Parallax,
+            depth: DepthVerdict::Estimated,
+            intrinsics: Intrinsics {
+                fx: camera.fx,
+                fy: camera.fy,
+                cx: camera.cx,
+                cy: camera.cy,
+            },
+            intrinsics_origin: IntrinsicsOrigin::Given,
+            focal: None,
+            poses: (0..spec.frames).map(|k| (k as u32, pose(k))).collect(),
+            grid: (columns, rows),
+            grid_px: [4.0, 4.0, STEP_PX, STEP_PX],
+            relative_deviation: vec![Some(0.1); inverse_depths.len()],
+            keyframes,
+            inverse_depths,
+            observable_fraction: Some(1.0),
+            edges: Vec::new(),
+            residual_px: None,
+            series: Vec::new(),
+            adjustment_steps: 0,
+            converged: true,
+            depth_cells: 0,
+            depth_cells_saved: 0,
+            seconds: StageSeconds::default(),
+        }
+    }
+
+    #[test]
+    fn the_truth_in_another_unit_has_no_error_and_errors_are_what_was_put_in() {
+        let spec = ClipSpec {
+            frames: 8,
+            ..ClipSpec::clean(Family::Dolly, 0, 3).with_size(64, 48)
+        };
+        let [pose, depth] = camera_errors(&tracked(&spec, 1.0), &spec).unwrap().unwrap();
+        // Depths and inverse depths were rounded to f32.
+        assert!(pose < 1e-9 && depth < 1e-6, "{pose} {depth}");
+        // The median does not see one depth in ten; it does see all but those that are not known.
+        let mut odd = tracked(&spec, 2.0);
+        let [_, depth] = camera_errors(&odd, &spec).unwrap().unwrap();
+        assert!(depth < 1e-6, "{depth}");
+        for (k, inverse) in odd.inverse_depths.iter_mut().enumerate() {
+            *inverse *= if k % 2 == 0 { 0.8 } else { 1.25 };
+        }
+        let [_, depth] = camera_errors(&odd, &spec).unwrap().unwrap();
+        assert!(depth > 0.15, "{depth}");
+        odd.relative_deviation.fill(None);
+        assert_eq!(camera_errors(&odd, &spec).unwrap(), None);
+        odd.depth = DepthVerdict::Rotation;
+        assert_eq!(camera_errors(&odd, &spec).unwrap(), None);
+    }
+}
