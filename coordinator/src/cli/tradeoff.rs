@@ -132,6 +132,9 @@ pub(super) fn run(args: TradeoffArgs) -> Result<u8, Failure> {
         say(&printable(line));
     }
     say(&printable(&tradeoff::sentence(&found)));
+    if let Some(warning) = tradeoff::warning(&found) {
+        say(&format!("note: {warning}"));
+    }
     say(&format!("page: {}", options.out.join(PAGE_FILE).display()));
     if json {
         let text = serde_json::to_string_pretty(&found).map_err(Failure::stopped)?;

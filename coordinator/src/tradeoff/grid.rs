@@ -13,7 +13,7 @@ pub enum Grid {
     None,
     /// draft, standard and accurate.
     Rungs,
-    /// Those, and six settings of height, finest scale and edges below, between and above them.
+    /// Those, and six settings of height, finest scale and edges between them.
     Knobs,
 }
 
@@ -34,13 +34,14 @@ struct Knobs {
     longest_span: u32,
 }
 
-/// Each differs from a rung in one or two knobs, so that the table tells what a knob buys.
+/// What the motion-balanced measures follow is how finely the flow is searched (rows over 2^scale), not the
+/// height of the picture: so the grid goes up in that, from half of what `standard` has to twice.
 const KNOBS: [Knobs; 6] = [
-    Knobs::new(Rung::Draft, 96, 2, 1),
-    Knobs::new(Rung::Draft, 192, 2, 1),
-    Knobs::new(Rung::Standard, 256, 2, 1),
+    Knobs::new(Rung::Draft, 128, 1, 1),
+    Knobs::new(Rung::Draft, 128, 0, 1),
+    Knobs::new(Rung::Draft, 192, 0, 1),
+    Knobs::new(Rung::Standard, 256, 1, 1),
     Knobs::new(Rung::Standard, 256, 0, 2),
-    Knobs::new(Rung::Standard, 384, 1, 2),
     Knobs::new(Rung::Accurate, 512, 1, 1),
 ];
 

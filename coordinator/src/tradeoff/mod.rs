@@ -57,7 +57,7 @@ pub use grid::{Grid, GridPoint, points};
 pub use injected::FaultsFound;
 pub use plan::{CostModel, Plan, Question, Shape};
 pub use rendered::Rendering;
-pub use table::{sentence, table};
+pub use table::{sentence, table, warning};
 pub use truth::TruthErrors;
 
 use compare::{compare, foretells, uncertain};
@@ -130,6 +130,8 @@ pub struct Tradeoff {
     pub top_uncertain: usize,
     /// What was asked of the planner.
     pub question: Question,
+    /// Wall over processor time of all measurements: 1 on an idle machine.
+    pub waiting: f64,
     /// The points, the cheapest first.
     pub points: Vec<PointResult>,
     /// Name of the point that the question's hours allow, the best of the front.
@@ -498,6 +500,7 @@ fn judge(
         keep: keep.to_string(),
         top_uncertain,
         question,
+        waiting: waiting(&measured),
         points,
         recommended,
     })
@@ -518,6 +521,14 @@ fn recommend<'a>(points: &'a [PointResult], question: &Question) -> Option<&'a P
             .then(spearman(b).total_cmp(&spearman(a)))
             .then(a.cpu_s_per_video.total_cmp(&b.cpu_s_per_video))
     })
+}
+
+/// How long measurements took by the clock, over what they computed.
+fn waiting(measured: &[PointMeasured]) -> f64 {
+    let costs = || measured.iter().flat_map(|point| &point.costs);
+    let cpu_s: f64 = costs().map(|cost| cost.cpu_s).sum();
+    let total_s: f64 = costs().map(|cost| cost.total_s).sum();
+    if cpu_s > 0.0 { total_s / cpu_s } else { 1.0 }
 }
 
 fn cpu_s_per_video(costs: &[Cost]) -> f64 {
@@ -559,7 +570,6 @@ fn spent(sample: &[Sampled], of: &PointMeasured) -> Vec<Spent> {
             parallax: m.scene == Some(Scene::Parallax) && m.status != Status::Failed,
             weight: sampled.weight,
             cpu_s: cost.cpu_s,
-            total_s: cost.total_s,
         }
     })
     .collect()

@@ -18,8 +18,6 @@ const WIDTH: f64 = 520.0;
 const HEIGHT: f64 = 300.0;
 /// Radius of a mark.
 const RADIUS: f64 = 5.0;
-/// Ticks of the axis of cost, as steps within a decade.
-const STEPS: [f64; 3] = [1.0, 2.0, 5.0];
 
 /// The page.
 pub(super) fn render(found: &Tradeoff) -> String {
@@ -43,6 +41,9 @@ fn answer(found: &Tradeoff) -> Section {
         title: "What to use",
         body: Some(html! {
             p.lead { (text::visible(&capitalised(&sentence))) }
+            @if let Some(warning) = table::warning(found) {
+                div.warnings { (capitalised(&warning)) "." }
+            }
             @if let Some(top) = top {
                 div.reading {
                     div {
@@ -95,16 +96,16 @@ fn fronts(found: &Tradeoff) -> Section {
 }
 
 fn plot(panel: &ScatterPanel) -> Markup {
-    let log = |mark: &Mark| libm::log10(mark.x);
     let spanning = |values: Vec<f64>| {
         let lo = values.iter().copied().fold(f64::INFINITY, f64::min);
         let hi = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         Axis::spanning(lo, hi)
     };
-    let x = spanning(panel.marks.iter().map(log).collect()).padded(0.14);
+    let x = spanning(panel.marks.iter().map(|mark| mark.x).collect()).padded(0.14);
     let y = spanning(panel.marks.iter().map(|mark| mark.y).collect()).padded(0.16);
-    let across = |mark: &Mark| x.position(log(mark)) * WIDTH;
+    let across = |mark: &Mark| x.position(mark.x) * WIDTH;
     let up = |mark: &Mark| HEIGHT - y.position(mark.y) * HEIGHT;
+    let ticks = || panel.ticks.iter().filter(|(place, _)| x.holds(*place));
     let line: String = panel
         .marks
         .iter()
@@ -128,41 +129,31 @@ fn plot(panel: &ScatterPanel) -> Markup {
                     @for (value, _) in y.ticks(5) {
                         path.grid d=(format!("M0 {:.1}H{WIDTH}", HEIGHT - y.position(value) * HEIGHT)) {}
                     }
-                    @for (value, _) in cost_ticks(x) {
-                        path.grid d=(format!("M{:.1} 0V{HEIGHT}", x.position(value) * WIDTH)) {}
+                    @for (place, _) in ticks() {
+                        path.grid d=(format!("M{:.1} 0V{HEIGHT}", x.position(*place) * WIDTH)) {}
                     }
                     path.front d=(line) {}
                     @for (k, mark) in panel.marks.iter().enumerate() {
                         circle .on[mark.on_front] cx=(format!("{:.1}", across(mark))) cy=(format!("{:.1}", up(mark))) r=(RADIUS) {
-                            title { (mark.name) ": " (text::magnitude(Some(mark.x))) " s, " (text::magnitude(Some(mark.y))) }
+                            title { (mark.name) ": " (text::magnitude(Some(libm::pow(10.0, mark.x)))) " s, " (text::magnitude(Some(mark.y))) }
                         }
                         text .on[mark.on_front] x=(format!("{:.1}", across(mark)))
                             y=(format!("{:.1}", up(mark) + if k % 2 == 0 { -10.0 } else { 20.0 })) { (mark.name) }
                     }
                 }
                 div.ticks aria-hidden="true" {
-                    @for (value, label) in cost_ticks(x) {
-                        span style={ "left:" (percent(x.position(value))) } { (label) }
+                    @for (place, label) in ticks() {
+                        span style={ "left:" (percent(x.position(*place))) } { (label) }
                     }
                 }
             }
-            figcaption { "Across: " (COST_TITLE) ", logarithmic." }
+            figcaption { "Across: " (COST_TITLE) "." }
         }
     }
 }
 
 fn percent(share: f64) -> String {
     format!("{:.1}%", 100.0 * share)
-}
-
-/// Round costs within an axis of their logarithms.
-fn cost_ticks(x: Axis) -> Vec<(f64, String)> {
-    const DECADES: std::ops::Range<i32> = -6..7;
-    DECADES
-        .flat_map(|decade| STEPS.map(|step| step * libm::pow(10.0, f64::from(decade))))
-        .map(|cost| (libm::log10(cost), text::magnitude(Some(cost))))
-        .filter(|(log, _)| x.holds(*log))
-        .collect()
 }
 
 fn points(found: &Tradeoff) -> Section {

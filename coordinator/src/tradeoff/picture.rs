@@ -8,7 +8,9 @@ use crate::picture;
 use crate::report::text;
 
 /// What lies to the right.
-pub(super) const COST_TITLE: &str = "CPU seconds per video";
+pub(super) const COST_TITLE: &str = "CPU seconds per video, logarithmic";
+/// Ticks of the axis of cost, as steps within a decade.
+const STEPS: [f64; 3] = [1.0, 2.0, 5.0];
 /// Longest name beside a point.
 const NAME_CHARS: usize = 24;
 
@@ -58,7 +60,8 @@ const MEASURES: [Measure; 6] = [
     },
 ];
 
-/// The panels that there are values for, each with its own front; names are safe to draw.
+/// The panels that there are values for, each with its own front, over the logarithm of cost; names are safe
+/// to draw.
 pub(super) fn panels(found: &Tradeoff) -> Vec<ScatterPanel> {
     let panel = |measure: &Measure| {
         let of = measure.of;
@@ -83,7 +86,7 @@ pub(super) fn panels(found: &Tradeoff) -> Vec<ScatterPanel> {
             .zip(front(&bought))
             .map(|((point, value), on_front)| Mark {
                 name: text::plain_name(&point.name, NAME_CHARS),
-                x: point.cpu_s_per_video,
+                x: libm::log10(point.cpu_s_per_video),
                 y: *value,
                 on_front,
             })
@@ -91,9 +94,19 @@ pub(super) fn panels(found: &Tradeoff) -> Vec<ScatterPanel> {
         (!marks.is_empty()).then(|| ScatterPanel {
             title: measure.title.to_owned(),
             marks,
+            ticks: cost_ticks(),
         })
     };
     MEASURES.iter().filter_map(panel).collect()
+}
+
+/// Round costs by their logarithms.
+fn cost_ticks() -> Vec<(f64, String)> {
+    const DECADES: std::ops::Range<i32> = -6..7;
+    DECADES
+        .flat_map(|decade| STEPS.map(|step| step * libm::pow(10.0, f64::from(decade))))
+        .map(|cost| (libm::log10(cost), text::magnitude(Some(cost))))
+        .collect()
 }
 
 /// The bytes of the picture.

@@ -6,6 +6,8 @@ use super::{PointResult, Question, Shape, Tradeoff};
 
 const HOUR_S: f64 = 3600.0;
 const MINUTE_S: f64 = 60.0;
+/// Measurements that waited longer than this, wall over processor time, shared their cores.
+const MOST_WAITING: f64 = 1.25;
 /// z of a 90% interval.
 const Z_90: f64 = 1.6449;
 
@@ -138,6 +140,17 @@ pub fn sentence(found: &Tradeoff) -> String {
         ),
         None => format!("nothing was measured that {asked} could be planned by"),
     }
+}
+
+/// What to know of the times, where there is something.
+#[must_use]
+pub fn warning(found: &Tradeoff) -> Option<String> {
+    (found.waiting > MOST_WAITING).then(|| {
+        format!(
+            "this machine was busy: measurements took {:.1} times what they computed; times to plan by are those of an idle one (--no-resume measures again)",
+            found.waiting
+        )
+    })
 }
 
 fn top_name(found: &Tradeoff) -> &str {

@@ -69,6 +69,7 @@ fn found(hours: f64) -> Tradeoff {
         keep: "80%".to_owned(),
         top_uncertain: 7,
         question,
+        waiting: 1.0,
         points,
         recommended,
     }

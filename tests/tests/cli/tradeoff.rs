@@ -53,6 +53,7 @@ fn without_times(mut value: Value) -> Value {
                         "plan",
                         "on_front",
                         "recommended",
+                        "waiting",
                     ];
                     !timed.contains(&name.as_str())
                 });
@@ -146,7 +147,7 @@ fn the_table_the_page_and_the_plan_of_a_small_sample() {
         let planned_s = point["plan"]["cpu_s"].as_f64().unwrap();
         // Proportional shares of 6 and 2 videos are 4.5 and 1.5, so that weights are near 1.
         assert!((planned_s / (1000.0 * each_s) - 1.0).abs() < 0.5);
-        assert!(point["plan"]["wall_s"].as_f64().unwrap() >= 0.99 * planned_s / 4.0);
+        assert!(point["plan"]["wall_s"].as_f64().unwrap() > planned_s / 4.0);
         assert!(point["truth"].is_null() && point["faults"].is_null());
     }
 

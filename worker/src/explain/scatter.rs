@@ -1,11 +1,11 @@
-//! Points over a logarithmic axis of cost, panel by panel, with the front of each.
+//! Points over a shared axis, panel by panel, with the front of each. The axis is whatever scale the caller
+//! has chosen: places come with the marks, and ticks with their labels.
 
 use plotters::backend::BitMapBackend;
 use plotters::chart::ChartBuilder;
 use plotters::coord::Shift;
-use plotters::coord::combinators::IntoLogRange;
 use plotters::drawing::{DrawingArea, IntoDrawingArea};
-use plotters::element::{Circle, Text};
+use plotters::element::{Circle, EmptyElement, PathElement, Text};
 use plotters::series::LineSeries;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{Color, IntoFont, RGBColor};
@@ -19,9 +19,6 @@ const PANEL_PX: (u32, u32) = (620, 420);
 const TITLE_PX: u32 = 44;
 const LABELS_PX: u32 = 64;
 
-/// Factor of room beside the cheapest and the dearest point.
-const ROOM: f64 = 1.6;
-
 const INK: RGBColor = RGBColor(34, 34, 40);
 const QUIET: RGBColor = RGBColor(120, 124, 132);
 const FAINT: RGBColor = RGBColor(225, 225, 230);
@@ -32,7 +29,7 @@ const FRONT: RGBColor = RGBColor(0, 114, 178);
 pub struct Mark {
     /// What is written beside it.
     pub name: String,
-    /// Above 0.
+    /// Place on the horizontal axis; finite.
     pub x: f64,
     /// Finite.
     pub y: f64,
@@ -45,8 +42,10 @@ pub struct Mark {
 pub struct ScatterPanel {
     /// What is drawn upwards, with its unit.
     pub title: String,
-    /// In the order of x; at least one.
+    /// In the order of x.
     pub marks: Vec<Mark>,
+    /// Places on the horizontal axis and their labels; those beyond it are left out.
+    pub ticks: Vec<(f64, String)>,
 }
 
 /// Draws the panels; `x_title` stands below each.
@@ -95,16 +94,14 @@ fn draw_panel(
     if panel.marks.is_empty() {
         return Ok(());
     }
-    let costs = panel.marks.iter().map(|mark| mark.x);
-    let lo = costs.clone().fold(f64::INFINITY, f64::min) / ROOM;
-    let hi = costs.fold(0.0, f64::max) * ROOM;
+    let (lo, hi) = span(panel.marks.iter().map(|mark| mark.x), 0.14);
     let (bottom, top) = span(panel.marks.iter().map(|mark| mark.y), 0.15);
     let mut chart = ChartBuilder::on(area)
         .margin(12)
         .caption(panel.title.clone(), (FONT, TEXT_PX).into_font().color(&INK))
         .x_label_area_size(44)
         .y_label_area_size(LABELS_PX)
-        .build_cartesian_2d((lo..hi).log_scale(), bottom..top)
+        .build_cartesian_2d(lo..hi, bottom..top)
         .map_err(failed)?;
     let decimals = match top - bottom {
         size if size >= 3.0 => 1,
@@ -116,14 +113,25 @@ fn draw_panel(
         .light_line_style(FAINT.mix(0.0))
         .bold_line_style(FAINT)
         .axis_style(INK.mix(0.5))
-        .x_labels(6)
+        .disable_x_mesh()
+        .x_labels(0)
         .y_labels(6)
         .x_desc(x_title)
-        .x_label_formatter(&|x| format!("{x}"))
         .y_label_formatter(&|y| format!("{y:.decimals$}"))
         .label_style((FONT, SMALL_PX).into_font().color(&INK))
         .draw()
         .map_err(failed)?;
+    for (x, label) in panel.ticks.iter().filter(|(x, _)| lo < *x && *x < hi) {
+        let line = PathElement::new([(*x, bottom), (*x, top)], FAINT);
+        chart.draw_series([line]).map_err(failed)?;
+        let style = (FONT, SMALL_PX)
+            .into_font()
+            .color(&INK)
+            .pos(Pos::new(HPos::Center, VPos::Top));
+        let name = Text::new(label.clone(), (0, 6), style);
+        let placed = EmptyElement::at((*x, bottom)) + name;
+        chart.plotting_area().draw(&placed).map_err(failed)?;
+    }
     let front = panel.marks.iter().filter(|mark| mark.on_front);
     chart
         .draw_series(LineSeries::new(
@@ -148,7 +156,7 @@ fn draw_panel(
             .color(&colour(mark))
             .pos(Pos::new(HPos::Center, at));
         let name = Text::new(mark.name.clone(), (0, offset), style);
-        let placed = plotters::element::EmptyElement::at((mark.x, mark.y)) + name;
+        let placed = EmptyElement::at((mark.x, mark.y)) + name;
         chart.draw_series([placed]).map_err(failed)?;
     }
     Ok(())
@@ -177,14 +185,17 @@ mod tests {
                     mark(0.5, 0.8, false),
                     mark(2.0, 1.0, true),
                 ],
+                ticks: vec![(1.0, "one".into()), (9.0, "beyond".into())],
             },
             ScatterPanel {
                 title: "alone".into(),
                 marks: vec![mark(1.0, 1.0, true)],
+                ticks: Vec::new(),
             },
             ScatterPanel {
                 title: "nothing".into(),
                 marks: Vec::new(),
+                ticks: Vec::new(),
             },
         ];
         let picture = scatter("title", "cost", &panels).unwrap();
