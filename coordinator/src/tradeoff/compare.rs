@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use plumbline_common::id::VideoId;
-use plumbline_common::row::Row;
+use plumbline_common::row::{Decision, Row};
 use serde::Serialize;
 
 use crate::agreement::{Flips, decisions, kendall, score_error, spearman};
@@ -72,9 +72,9 @@ pub(super) fn uncertain(rows: &[Row], keep: &KeepRule) -> Vec<bool> {
             .entry(row.group.as_deref())
             .or_insert((f64::NEG_INFINITY, f64::INFINITY));
         match decision {
-            plumbline_common::row::Decision::Keep => cut.0 = cut.0.max(anomaly),
-            plumbline_common::row::Decision::Drop => cut.1 = cut.1.min(anomaly),
-            plumbline_common::row::Decision::Review => {}
+            Decision::Keep => cut.0 = cut.0.max(anomaly),
+            Decision::Drop => cut.1 = cut.1.min(anomaly),
+            Decision::Review => {}
         }
     }
     rows.iter()

@@ -4,8 +4,8 @@ use std::io::Write;
 
 use super::{PointResult, Tradeoff};
 use crate::publish::encode::{self, EncodeError, Format};
-use crate::publish::table::Column;
 use crate::publish::table::Kind::{Bool, Float64, ListUInt32, Text, UInt32, UInt64};
+use crate::publish::table::{Cell, Column};
 use crate::reduce::recipe::Signal;
 
 /// Everything, for programs.
@@ -104,7 +104,7 @@ fn by_recipe(point: &PointResult, recipe: &str) -> Option<f64> {
 }
 
 /// A column's getter captures nothing, so that there is one per signal, in the order of [`Signal::ALL`].
-const BY_SIGNAL: [for<'r> fn(&'r PointResult) -> crate::publish::table::Cell<'r>; 7] = [
+const BY_SIGNAL: [for<'r> fn(&'r PointResult) -> Cell<'r>; 7] = [
     |p| of_signal(p, Signal::ReprojPx),
     |p| of_signal(p, Signal::AepeWorldscorePx),
     |p| of_signal(p, Signal::PiecewiseResidual),
@@ -114,7 +114,7 @@ const BY_SIGNAL: [for<'r> fn(&'r PointResult) -> crate::publish::table::Cell<'r>
     |p| of_signal(p, Signal::DetailChange),
 ];
 
-fn of_signal(point: &PointResult, signal: Signal) -> crate::publish::table::Cell<'_> {
+fn of_signal(point: &PointResult, signal: Signal) -> Cell<'_> {
     let by_signal = &point.agreement.spearman_by_signal;
     by_signal.get(signal.column()).copied().flatten().into()
 }

@@ -9,11 +9,15 @@
 //! Points never share statistics: each is reduced by itself. Whatever is measured is kept below OUT, so that
 //! a killed command goes on where it was. `tradeoff.json` disappears first and is written last.
 
+mod camera;
 mod compare;
 mod document;
+mod error;
 mod front;
 mod grid;
 mod injected;
+mod judge;
+mod known;
 mod labels;
 mod measure;
 mod page;
@@ -31,28 +35,23 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use plumbline_common::id::VideoId;
-use plumbline_common::row::{Cost, Row, Scene, Status};
-use plumbline_sample::SampleError;
-use plumbline_vision::flow::FlowError;
-use plumbline_worker::explain::DrawError;
-use serde::{Deserialize, Serialize};
+use plumbline_common::row::{Cost, Row};
+use serde::Serialize;
 
 use crate::corpus::{self, Entry, GroupBy};
 use crate::fanout::Slots;
 use crate::lease::Lease;
-use crate::picture::PngError;
 use crate::profiles;
 use crate::progress::say;
-use crate::publish::{CORPUS_FILE, OutDir, PublishError};
+use crate::publish::{CORPUS_FILE, OutDir};
 use crate::reduce::auroc::Auroc;
 use crate::reduce::outcome::Recipe;
 use crate::reduce::{self, ReduceOptions};
 use crate::run::{RunError, STATE_DIRECTORY};
-use crate::sample::WriteSampleError;
 use crate::stop::StopSignals;
 
 pub use compare::Agreement;
+pub use error::TradeoffError;
 pub use grid::{Grid, GridPoint, points};
 pub use injected::FaultsFound;
 pub use plan::{CostModel, Plan, Question, Shape};
@@ -60,12 +59,10 @@ pub use rendered::Rendering;
 pub use table::{sentence, table, warning};
 pub use truth::TruthErrors;
 
-use compare::{compare, foretells, uncertain};
-use front::{Bought, front};
-use plan::{Spent, Working};
-use rendered::RenderedClip;
+use error::MIN_SAMPLE;
+use judge::judge;
+use known::Known;
 use sample::Sampled;
-use truth::FlowPair;
 
 /// The mark of a finished command.
 pub const TRADEOFF_FILE: &str = "tradeoff.json";
@@ -194,63 +191,6 @@ pub struct PointResult {
     pub plan: Option<Plan>,
 }
 
-/// Why there is no answer.
-#[derive(Debug, thiserror::Error)]
-pub enum TradeoffError {
-    /// The corpus, OUT, or a measurement.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// Labels, or the list of videos.
-    #[error(transparent)]
-    Corpus(#[from] corpus::CorpusError),
-    /// Too few videos can be read.
-    #[error(
-        "{readable} of the videos can be read, and {MIN_SAMPLE} are needed to compare orders; give more"
-    )]
-    TooFew {
-        /// Readable videos in the sample.
-        readable: usize,
-    },
-    /// OUT belongs to a run of `score`.
-    #[error("{out}: holds the results of a score run; choose another --out")]
-    ScoresThere {
-        /// OUT.
-        out: String,
-    },
-    /// Nothing to compare.
-    #[error(
-        "one point alone compares with nothing: add --profile FILE.toml, or leave out --grid none"
-    )]
-    OnePoint,
-    /// OUT cannot be written.
-    #[error(transparent)]
-    Publish(#[from] PublishError),
-    /// A rendered clip cannot be written.
-    #[error(transparent)]
-    Render(WriteSampleError),
-    /// A rendered scene has no truth.
-    #[error("a scene of known truth does not render ({0}); report this defect")]
-    Scene(#[from] SampleError),
-    /// A point's flow does not work on a rendered scene.
-    #[error("a profile's flow fails on a rendered scene: {0}; change its knobs")]
-    Flow(#[from] FlowError),
-    /// The picture cannot be drawn.
-    #[error(transparent)]
-    Draw(#[from] DrawError),
-    /// The picture does not encode.
-    #[error(transparent)]
-    Png(#[from] PngError),
-    /// A step broke down.
-    #[error("a step broke down ({0}); what was measured is kept, and this is a defect to report")]
-    Finishing(#[from] tokio::task::JoinError),
-    /// Ctrl-C or SIGTERM.
-    #[error("interrupted: what was measured is kept; run the same command again to go on")]
-    Interrupted,
-}
-
-/// Fewer have no order worth comparing.
-const MIN_SAMPLE: usize = 3;
-
 /// Measures the trade-off and writes it down.
 ///
 /// # Errors
@@ -308,13 +248,6 @@ struct PointMeasured {
     known: Option<Known>,
 }
 
-/// What rendered clips say of a point.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Known {
-    truth: TruthErrors,
-    faults: FaultsFound,
-}
-
 async fn measure_all(
     options: &TradeoffOptions,
     sample: &[Sampled],
@@ -324,7 +257,7 @@ async fn measure_all(
     let entries = Arc::new(entries);
     let rendered = match &options.rendering {
         None => None,
-        Some(rendering) => Some(Arc::new(render(rendering, state).await?)),
+        Some(rendering) => Some(Arc::new(known::render(rendering, state).await?)),
     };
     let mut measured = Vec::new();
     for (index, point) in options.points.iter().enumerate() {
@@ -338,7 +271,7 @@ async fn measure_all(
         let found = measure::measure(point, &entries, options, state).await?;
         let known = match &rendered {
             None => None,
-            Some(rendered) => Some(known(point, rendered, options, state).await?),
+            Some(rendered) => Some(known::known(point, rendered, options, state).await?),
         };
         let reduce_by = |recipe: Recipe| {
             let own = ReduceOptions {
@@ -358,221 +291,6 @@ async fn measure_all(
         });
     }
     Ok(measured)
-}
-
-/// Rendered clips and pairs.
-struct Rendered {
-    with_faults: Vec<RenderedClip>,
-    scenes: Vec<RenderedClip>,
-    pairs: Vec<FlowPair>,
-    /// Of all specifications.
-    digest: String,
-}
-
-async fn render(rendering: &Rendering, state: &OutDir) -> Result<Rendered, TradeoffError> {
-    say("rendering clips whose truth is known");
-    let (rendering, root) = (*rendering, state.root().to_path_buf());
-    tokio::task::spawn_blocking(move || {
-        let (with_faults, scenes) = (rendering.with_faults(), rendering.scenes());
-        let specs = serde_json::to_vec(&(&with_faults, &scenes)).map_err(RunError::Profile)?;
-        Ok(Rendered {
-            pairs: truth::flow_pairs(&scenes)?,
-            with_faults: rendered::write(with_faults, &root)?,
-            scenes: rendered::write(scenes, &root)?,
-            digest: blake3::hash(&specs).to_hex().to_string(),
-        })
-    })
-    .await?
-}
-
-/// What rendered clips say of a point: taken over from an earlier run, or found and kept.
-async fn known(
-    point: &GridPoint,
-    rendered: &Arc<Rendered>,
-    options: &TradeoffOptions,
-    state: &OutDir,
-) -> Result<Known, TradeoffError> {
-    let profile = rendered::profile_for(&point.profile);
-    let digest = profile.digest().map_err(RunError::Profile)?;
-    let name = format!(
-        "known/{}-{}-{}.json",
-        env!("CARGO_PKG_VERSION"),
-        measure::short(&rendered.digest),
-        measure::short(&digest)
-    );
-    if options.resume {
-        let kept = std::fs::read(state.root().join(&name)).ok();
-        if let Some(known) = kept.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
-            return Ok(known);
-        }
-    }
-    let known = Known {
-        truth: truth::errors(rendered, &profile, options).await?,
-        faults: injected::find(&rendered.with_faults, &profile, options).await?,
-    };
-    let bytes = serde_json::to_vec(&known).map_err(RunError::Profile)?;
-    state.put_atomic(&name, &bytes)?;
-    Ok(known)
-}
-
-/// Points side by side, the cheapest first, and the plan. The last point measured is the top.
-fn judge(
-    options: &TradeoffOptions,
-    corpus_videos: usize,
-    sample: &[Sampled],
-    labels: &BTreeMap<VideoId, f64>,
-    measured: Vec<PointMeasured>,
-) -> Result<Tradeoff, TradeoffError> {
-    let question = Question {
-        videos: options.videos.unwrap_or(corpus_videos as u64),
-        shape: options.shape,
-        cores: options.cores,
-        hours: options.hours,
-    };
-    let keep = &options.reduce.keep;
-    let Some(top) = measured.last() else {
-        return Err(TradeoffError::OnePoint);
-    };
-    let top_cpu_s = cpu_s_per_video(&top.costs);
-    let top_uncertain = uncertain(&top.rows, keep).iter().filter(|&&u| u).count();
-    let mut points = Vec::new();
-    for (index, of) in measured.iter().enumerate() {
-        let profile = &of.point.profile;
-        let working = Working {
-            height_px: profile.working_height_px,
-            conditioning_frames: profile.conditioning_frames,
-        };
-        let spent = spent(sample, of);
-        let cpu_s = cpu_s_per_video(&of.costs);
-        points.push(PointResult {
-            name: of.point.name.clone(),
-            profile: profile_to_type(&of.point),
-            profile_digest: profile.digest().map_err(RunError::Profile)?,
-            top: index + 1 == measured.len(),
-            working_height_px: profile.working_height_px,
-            finest_scale: profile.flow.finest_scale,
-            edge_spans: profile.edge_spans.clone(),
-            scored: of.rows.iter().filter(|row| row.anomaly.is_some()).count(),
-            cpu_s_per_video: cpu_s,
-            relative_cost: if top_cpu_s > 0.0 {
-                cpu_s / top_cpu_s
-            } else {
-                1.0
-            },
-            stages_s: stages(&of.costs, cpu_s),
-            on_front: false,
-            agreement: compare(&of.rows, &top.rows, keep),
-            spearman_by_recipe: of
-                .by_recipe
-                .iter()
-                .map(|(recipe, rows)| {
-                    let found = compare(rows, &top.by_recipe[recipe], keep).spearman;
-                    (recipe.clone(), found)
-                })
-                .collect(),
-            auroc_failure: foretells(&of.rows, labels),
-            truth: of.known.as_ref().map(|known| known.truth),
-            faults: of.known.as_ref().map(|known| known.faults.clone()),
-            cost_model: plan::fit(&spent, working),
-            plan: plan::plan(&spent, working, &question),
-        });
-    }
-    let bought: Vec<Bought> = points
-        .iter()
-        .map(|point| Bought {
-            cost: point.cpu_s_per_video,
-            good: point.agreement.spearman.unwrap_or(-1.0),
-        })
-        .collect();
-    for (point, on_front) in points.iter_mut().zip(front(&bought)) {
-        point.on_front = on_front || point.top;
-    }
-    points.sort_by(|a, b| a.cpu_s_per_video.total_cmp(&b.cpu_s_per_video));
-    let recommended = recommend(&points, &question).map(|point| point.name.clone());
-    Ok(Tradeoff {
-        source: options.sources.clone(),
-        corpus_videos,
-        sample: sample
-            .iter()
-            .map(|s| s.entry.video.as_str().to_owned())
-            .collect(),
-        recipe: options.reduce.recipe,
-        keep: keep.to_string(),
-        top_uncertain,
-        question,
-        waiting: waiting(&measured),
-        points,
-        recommended,
-    })
-}
-
-/// Of the front's points that are done in time even at the upper end of their interval, the one with the
-/// fewest flips; of equals the nearest in order, then the cheapest.
-fn recommend<'a>(points: &'a [PointResult], question: &Question) -> Option<&'a PointResult> {
-    const HOUR_S: f64 = 3600.0;
-    let in_time = points.iter().filter(|point| {
-        let plan = point.plan.filter(|_| point.on_front);
-        plan.is_some_and(|plan| plan.wall_interval_90_s.1 <= question.hours * HOUR_S)
-    });
-    in_time.min_by(|a, b| {
-        let spearman = |point: &PointResult| point.agreement.spearman.unwrap_or(-1.0);
-        let flips = |point: &PointResult| point.agreement.flips.count();
-        (flips(a).cmp(&flips(b)))
-            .then(spearman(b).total_cmp(&spearman(a)))
-            .then(a.cpu_s_per_video.total_cmp(&b.cpu_s_per_video))
-    })
-}
-
-/// How long measurements took by the clock, over what they computed.
-fn waiting(measured: &[PointMeasured]) -> f64 {
-    let costs = || measured.iter().flat_map(|point| &point.costs);
-    let cpu_s: f64 = costs().map(|cost| cost.cpu_s).sum();
-    let total_s: f64 = costs().map(|cost| cost.total_s).sum();
-    if cpu_s > 0.0 { total_s / cpu_s } else { 1.0 }
-}
-
-fn cpu_s_per_video(costs: &[Cost]) -> f64 {
-    costs.iter().map(|cost| cost.cpu_s).sum::<f64>() / costs.len().max(1) as f64
-}
-
-/// Stages are timed by the clock; processor time is shared out among them in proportion.
-fn stages(costs: &[Cost], cpu_s_per_video: f64) -> Stages {
-    let sum = |of: fn(&Cost) -> f64| costs.iter().map(of).sum::<f64>();
-    let total = sum(|cost| cost.total_s);
-    let share = |of: fn(&Cost) -> f64| {
-        if total > 0.0 {
-            cpu_s_per_video * sum(of) / total
-        } else {
-            0.0
-        }
-    };
-    Stages {
-        decode: share(|cost| cost.decode_s),
-        flow: share(|cost| cost.flow_s),
-        signals: share(|cost| cost.signals_s),
-        geometry: share(|cost| cost.geometry_s),
-    }
-}
-
-fn spent(sample: &[Sampled], of: &PointMeasured) -> Vec<Spent> {
-    let rows = sample.iter().zip(&of.rows).zip(&of.costs);
-    rows.map(|((sampled, row), cost)| {
-        let m = &row.measured;
-        Spent {
-            shape: match (m.frames, m.width, m.height) {
-                (Some(frames), Some(width), Some(height)) => Some(Shape {
-                    frames,
-                    width,
-                    height,
-                }),
-                _ => None,
-            },
-            parallax: m.scene == Some(Scene::Parallax) && m.status != Status::Failed,
-            weight: sampled.weight,
-            cpu_s: cost.cpu_s,
-        }
-    })
-    .collect()
 }
 
 /// A rung by its name; everything else is written as a file.

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::judge::recommend;
 use super::*;
 use crate::agreement::Flips;
 
