@@ -45,7 +45,7 @@ def held_out(profile):
 found = json.load(open(os.path.join(work, "tradeoff.json")))
 points = found["points"]
 top = next(point for point in points if point["top"])
-print(f"- sample {len(found['sample'])} of {found['corpus_videos']} clips in proportion to their sources; recipe "
+print(f"- sample {len(found['sample'])} of {found['corpus_videos']} clips in proportion to recorded and generated; recipe "
       f"{found['recipe']}, keep rule {found['keep']}; {found['top_uncertain']} of the top point's decisions lie within its own intervals")
 print("- flow EPE: px of a 256-px-high picture, rendered scenes at 640×480; pose: trajectory error in % of the path; "
       "faults: AUROC / temporal hit on rendered clips; label AUROC: generated above recorded")
@@ -78,7 +78,9 @@ for profile in PROFILES:
     share = len(clips) / found["question"]["videos"]
     plan, model = point["plan"], point["cost_model"]
     cpu_s = sum(clip["cpu_s"] for clip in clips)
-    planned_cpu_s, planned_wall_s = plan["cpu_s"] * share, plan["wall_s"] * share
+    planned_cpu_s = plan["cpu_s"] * share
+    # The question's cores are the jobs; what the last videos leave idle does not depend on their number.
+    planned_wall_s = planned_cpu_s / jobs + (plan["wall_s"] - plan["cpu_s"] / jobs)
     height = point["working_height_px"]
     shaped_s = sum(
         model["decode_s_per_mpx"] * clip["frames"] * clip["width"] * clip["height"] / 1e6
