@@ -5,7 +5,7 @@
 //! clean scenes at a camera's size. A clip is rendered once per OUT and version.
 
 use std::ops::RangeFrom;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use plumbline_common::id::VideoId;
 use plumbline_common::message::Location;
@@ -111,11 +111,11 @@ pub(super) fn write(
     specs.into_iter().map(clip).collect()
 }
 
-fn entry(path: &PathBuf, name: &str) -> Result<Entry, TradeoffError> {
+fn entry(path: &Path, name: &str) -> Result<Entry, TradeoffError> {
     use std::os::unix::ffi::OsStrExt;
     let io = |source| {
         TradeoffError::Render(WriteSampleError::Io {
-            path: path.clone(),
+            path: path.to_path_buf(),
             source,
         })
     };
