@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use plumbline_sample::corpus::ClipSpec;
+use plumbline_sample::scene::Family;
 use serde::{Deserialize, Serialize};
 
 use super::injected::{self, FaultsFound};
@@ -22,7 +24,9 @@ pub(super) struct Known {
 /// Rendered clips and pairs.
 pub(super) struct Rendered {
     pub(super) with_faults: Vec<RenderedClip>,
-    pub(super) scenes: Vec<RenderedClip>,
+    /// Scenes with a travelling camera.
+    pub(super) travelling: Vec<RenderedClip>,
+    /// Pairs of pictures of all scenes.
     pub(super) pairs: Vec<FlowPair>,
     /// Of all specifications.
     digest: String,
@@ -44,11 +48,17 @@ pub(super) async fn render(
         Ok(Rendered {
             pairs: truth::flow_pairs(&scenes)?,
             with_faults: rendered::write(with_faults, &root)?,
-            scenes: rendered::write(scenes, &root)?,
+            travelling: rendered::write(travelling(scenes), &root)?,
             digest: blake3::hash(&specs).to_hex().to_string(),
         })
     })
     .await?
+}
+
+/// The scenes that are tracked; of the others only some pictures are looked at.
+fn travelling(mut scenes: Vec<ClipSpec>) -> Vec<ClipSpec> {
+    scenes.retain(|scene| scene.family == Family::Dolly);
+    scenes
 }
 
 /// What rendered clips say of a point: taken over from an earlier run, or found and kept.

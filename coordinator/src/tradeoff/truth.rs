@@ -12,7 +12,6 @@ use std::sync::Arc;
 use plumbline_common::id::VideoId;
 use plumbline_sample::corpus::ClipSpec;
 use plumbline_sample::render::Camera;
-use plumbline_sample::scene::Family;
 use plumbline_sample::{FlowTruth, SampleError};
 use plumbline_vision::flow::accuracy::FlowAccuracy;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
@@ -187,17 +186,13 @@ pub(super) async fn errors(
         flow_errors(&rendered_for_flow.pairs, &profile_for_flow)
     });
     let [flow_epe_px, flow_epe_moving_px] = flow.await??;
-    let scenes = &rendered.scenes;
-    let travelling: HashMap<&VideoId, &ClipSpec> = scenes
+    let travelling: HashMap<&VideoId, &ClipSpec> = rendered
+        .travelling
         .iter()
-        .filter(|clip| clip.spec.family == Family::Dolly)
         .map(|clip| (&clip.entry.video, &clip.spec))
         .collect();
     let mut jobs = Vec::new();
-    for clip in scenes
-        .iter()
-        .filter(|c| travelling.contains_key(&c.entry.video))
-    {
+    for clip in &rendered.travelling {
         let camera = Camera::new(clip.spec.width, clip.spec.height)?;
         let profile = Profile {
             intrinsics: Some(Intrinsics {
