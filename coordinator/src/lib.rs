@@ -32,4 +32,5 @@ pub mod sample;
 pub mod slam;
 mod stop;
 pub mod thresholds;
+pub mod tradeoff;
 pub mod watch;

@@ -39,7 +39,7 @@ use crate::thresholds::FaultCalibration;
 pub use cascade::CascadeOptions;
 use cascade::Climbed;
 pub use error::RunError;
-pub(crate) use journals::Journals;
+pub(crate) use journals::{Journals, collected};
 
 /// Where a run keeps what it needs to resume, below OUT.
 pub(crate) const STATE_DIRECTORY: &str = ".plumbline";

@@ -212,6 +212,13 @@ impl Profile {
         }
     }
 
+    /// Columns and rows that a picture of this size is measured at; the picture has rows.
+    #[must_use]
+    pub fn working_size(&self, width: usize, height: usize) -> (usize, usize) {
+        let rows = self.working_height_px as usize;
+        (((width * rows + height / 2) / height).max(1), rows)
+    }
+
     /// The form that is hashed and that travels: JSON with fields in declaration order.
     ///
     /// # Errors

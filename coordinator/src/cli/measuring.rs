@@ -31,7 +31,14 @@ pub(super) struct MeasuringArgs {
 pub(super) struct ComputingArgs {
     /// Rung of the speed/accuracy ladder (draft, standard, accurate), or FILE.toml with changed knobs
     #[arg(long, default_value = "standard")]
-    profile: ProfileName,
+    pub(super) profile: ProfileName,
+    #[command(flatten)]
+    pub(super) settings: SettingArgs,
+}
+
+/// What was typed that holds whatever the profile.
+#[derive(Debug, Clone, Args)]
+pub(super) struct SettingArgs {
     /// Focal lengths and principal point of the camera, px of the videos as decoded [default: a view of 60 degrees]
     #[arg(long, value_name = "FX,FY,CX,CY", value_parser = parse_intrinsics)]
     intrinsics: Option<Intrinsics>,
@@ -90,8 +97,8 @@ fn parse_intrinsics(text: &str) -> Result<Intrinsics, String> {
 impl MeasuringArgs {
     /// A limit of this machine that was typed.
     pub(super) fn typed_limit(&self) -> Option<&'static str> {
-        let deadline = self.computing.deadline.map(|_| "--deadline");
-        deadline.or(self.computing.memory.map(|_| "--memory"))
+        let deadline = self.computing.settings.deadline.map(|_| "--deadline");
+        deadline.or(self.computing.settings.memory.map(|_| "--memory"))
     }
 
     /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
@@ -108,19 +115,19 @@ impl MeasuringArgs {
 
 impl ComputingArgs {
     /// With settings from file and environment under what was typed; `jobs` slots, or one per core.
-    pub(super) fn usable(self, jobs: Option<u16>) -> Result<Measuring, Failure> {
+    pub(super) fn usable(&self, jobs: Option<u16>) -> Result<Measuring, Failure> {
         let mut settings = Settings::load().map_err(Failure::usage)?;
-        if let Some(deadline_s) = self.deadline {
+        if let Some(deadline_s) = self.settings.deadline {
             settings.compute.deadline_s = deadline_s;
         }
-        if let Some(memory_mib) = self.memory {
+        if let Some(memory_mib) = self.settings.memory {
             settings.compute.memory_mib = memory_mib;
         }
         settings.validate().map_err(Failure::usage)?;
         let mut profile =
             profiles::load(&self.profile, &settings.decode).map_err(Failure::usage)?;
-        profile.intrinsics = self.intrinsics.or(profile.intrinsics);
-        profile.sequence_fps = self.sequence_fps.unwrap_or(profile.sequence_fps);
+        profile.intrinsics = self.settings.intrinsics.or(profile.intrinsics);
+        profile.sequence_fps = self.settings.sequence_fps.unwrap_or(profile.sequence_fps);
         if !(profile.sequence_fps.is_finite() && profile.sequence_fps > 0.0) {
             return Err(Failure::usage("--sequence-fps must be above 0"));
         }

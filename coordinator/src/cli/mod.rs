@@ -15,6 +15,7 @@ mod sample;
 mod score;
 mod slam;
 mod summary;
+mod tradeoff;
 mod watching;
 
 use std::io::Write;
@@ -63,6 +64,7 @@ enum Command {
     Reduce(Box<reduce::ReduceArgs>),
     Sample(sample::SampleArgs),
     Slam(slam::SlamArgs),
+    Tradeoff(Box<tradeoff::TradeoffArgs>),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
     ComputeChild {
@@ -88,6 +90,7 @@ pub fn main() -> ExitCode {
         Command::Reduce(args) => reduce::run(*args),
         Command::Sample(args) => sample::run(&args),
         Command::Slam(args) => slam::run(args),
+        Command::Tradeoff(args) => tradeoff::run(*args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)
             .map_err(|error| Failure {

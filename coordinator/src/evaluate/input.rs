@@ -13,7 +13,8 @@ use crate::reduce::recipe::{BySignal, Signal};
 use crate::reduce_files;
 
 /// What a judgement, or an outcome, has to be.
-const WANTED: &str = "give a number from 0 (failure) to 1 (success), 0.5 for half a success";
+pub(crate) const WANTED_LABEL: &str =
+    "give a number from 0 (failure) to 1 (success), 0.5 for half a success";
 
 /// One row of the scores.
 pub(super) struct ScoreRow {
@@ -99,7 +100,7 @@ impl Input {
                 share(value).ok_or_else(|| {
                     let video = &line.video;
                     wrong(format!(
-                        "row {}: {column} of {video} is {value}; {WANTED}",
+                        "row {}: {column} of {video} is {value}; {WANTED_LABEL}",
                         index + 1
                     ))
                 })
@@ -211,7 +212,7 @@ fn carried_real(
         (_, Some(share)) => Ok(Some(share)),
         (Some(_), None) => Err(EvaluateError::Content {
             path: options.scores.display().to_string(),
-            reason: format!("{column} of {video} is {value}; {WANTED}"),
+            reason: format!("{column} of {video} is {value}; {WANTED_LABEL}"),
         }),
     }
 }
@@ -281,7 +282,7 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 /// A number from 0 to 1.
-fn share(value: &Value) -> Option<f64> {
+pub(crate) fn share(value: &Value) -> Option<f64> {
     number(value).filter(|share| (0.0..=1.0).contains(share))
 }
 

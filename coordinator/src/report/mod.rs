@@ -7,7 +7,7 @@
 //! are capped, and each cap says so on the page. Rendering cannot fail; equal input gives equal
 //! bytes. Pixel figures are pixels of a 256-px-high picture.
 
-mod axis;
+pub(crate) mod axis;
 mod cascade;
 mod distribution;
 mod drift;
@@ -16,13 +16,13 @@ mod faults;
 mod measures;
 mod motion;
 mod overview;
-mod page;
+pub(crate) mod page;
 mod provenance;
 mod ranking;
 mod series;
 mod statuses;
 mod table;
-mod text;
+pub(crate) mod text;
 
 #[cfg(test)]
 mod fixture;
@@ -40,6 +40,9 @@ use crate::publish::{CorpusFile, CostRow};
 
 /// Videos shown at each end of the ranking unless the caller says otherwise.
 pub const DEFAULT_RANKED: usize = 12;
+
+/// What the report is about, before the source's name.
+const SCORES_OF: &str = "Physical consistency of";
 
 /// Everything the report is made of.
 pub struct ReportInput<'a> {
@@ -116,7 +119,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
         statuses::section(input.rows),
         provenance::section(input),
     ];
-    page::assemble(input.title, sections)
+    page::assemble(SCORES_OF, input.title, sections)
 }
 
 /// The report with the section that says how scores and judgements agree, in place of an earlier one;
@@ -125,7 +128,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
 pub fn with_evaluation(report: Option<&str>, evaluation: &Evaluation) -> String {
     let added = report.and_then(|report| evaluation::added_to(report, evaluation));
     added.unwrap_or_else(|| {
-        let bare = page::assemble(&evaluation.scores, []);
+        let bare = page::assemble(SCORES_OF, &evaluation.scores, []);
         evaluation::added_to(&bare, evaluation).unwrap_or(bare)
     })
 }

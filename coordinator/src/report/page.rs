@@ -14,17 +14,17 @@ const SCRIPT: &str = include_str!("script.js");
 const TAB_CHARS: usize = 120;
 
 /// A part of the page.
-pub(super) struct Section {
+pub(crate) struct Section {
     /// Anchor.
-    pub(super) id: &'static str,
+    pub(crate) id: &'static str,
     /// Heading, and entry in the contents.
-    pub(super) title: &'static str,
+    pub(crate) title: &'static str,
     /// What stands under the heading; the section is left out where there is nothing.
-    pub(super) body: Option<Markup>,
+    pub(crate) body: Option<Markup>,
 }
 
-/// The whole page.
-pub(super) fn assemble<const N: usize>(title: &str, sections: [Section; N]) -> String {
+/// The whole page, under a heading about what `title` names.
+pub(crate) fn assemble<const N: usize>(about: &str, title: &str, sections: [Section; N]) -> String {
     // No request of any kind; the one script is allowed by its digest, not by being inline.
     let digest = STANDARD.encode(Sha256::digest(SCRIPT.as_bytes()));
     let policy = format!(
@@ -49,7 +49,7 @@ pub(super) fn assemble<const N: usize>(title: &str, sections: [Section; N]) -> S
             body {
                 header.top {
                     p.brand { "Plumbline" }
-                    h1 { "Physical consistency of " (text::name(title)) }
+                    h1 { (about) " " (text::name(title)) }
                     nav aria-label="Contents" {
                         @for (section, _) in present.iter().skip(1) {
                             a href={ "#" (section.id) } { (section.title) }

@@ -9,7 +9,7 @@ use crate::collect::{Journal, JournalError};
 use crate::corpus::Entry;
 use crate::publish::CostRow;
 use crate::reduce::ladder::{self, OnRung, RungOfRows};
-use crate::reduce::{self, ReduceOptions, Reduced};
+use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
 
 /// Journals, with what is to be made of them.
 pub(crate) enum Journals {
@@ -31,6 +31,26 @@ pub(crate) struct Cascaded {
     pub(crate) record: CascadeRecord,
 }
 
+/// Every entry with its measurement, in the corpus' order, so that nothing is lost; and what each
+/// measurement cost.
+pub(crate) fn collected(
+    entries: &[Entry],
+    journal: &Journal,
+) -> Result<(Vec<MeasuredVideo>, Vec<CostRow>), JournalError> {
+    let mut videos = Vec::with_capacity(entries.len());
+    let mut costs = Vec::with_capacity(entries.len());
+    for entry in entries {
+        let record = journal.read(&entry.video)?;
+        costs.extend(record.as_ref().map(|record| CostRow::of(record, None)));
+        let measurement = match record {
+            Some(record) => record.outcome.measurement,
+            None => unreadable(entry),
+        };
+        videos.push(measured_video(entry, measurement));
+    }
+    Ok((videos, costs))
+}
+
 impl Journals {
     /// Rows of every entry, in the corpus' order, so that nothing is lost; and what each measurement cost.
     pub(crate) fn reduce(
@@ -38,22 +58,13 @@ impl Journals {
         entries: &[Entry],
         options: &ReduceOptions,
     ) -> Result<(Reduced, Vec<CostRow>), JournalError> {
-        let mut costs = Vec::new();
         match self {
             Self::Plain(journal) => {
-                let mut videos = Vec::with_capacity(entries.len());
-                for entry in entries {
-                    let record = journal.read(&entry.video)?;
-                    costs.extend(record.as_ref().map(|record| CostRow::of(record, None)));
-                    let measurement = match record {
-                        Some(record) => record.outcome.measurement,
-                        None => unreadable(entry),
-                    };
-                    videos.push(measured_video(entry, measurement));
-                }
+                let (videos, costs) = collected(entries, journal)?;
                 Ok((reduce::reduce(videos, options), costs))
             }
             Self::Cascade(cascaded) => {
+                let mut costs = Vec::new();
                 let mut videos = Vec::with_capacity(entries.len());
                 for (entry, &(rung, flip)) in entries.iter().zip(&cascaded.rows) {
                     let mut measurement = None;

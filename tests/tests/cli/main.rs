@@ -2,7 +2,7 @@
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
 //! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `evaluate`,
-//! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`: the commands and flags of these names.
+//! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`, `tradeoff`: the commands and flags of these names.
 //! `cascade`: budgets. `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers.
 //! `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
@@ -34,4 +34,5 @@ mod resume;
 mod slam;
 mod sources;
 mod system;
+mod tradeoff;
 mod trainer_lists;

@@ -10,6 +10,7 @@ mod heat;
 mod overlay;
 pub mod plot;
 mod scale;
+pub mod scatter;
 
 use std::ops::ControlFlow;
 use std::path::Path;

@@ -112,9 +112,8 @@ pub(crate) fn working_picture(profile: &Profile, frame: &DecodedFrame) -> Result
     if width > MAX_ASPECT * height || height > MAX_ASPECT * width {
         return Err(ClipError::Aspect { width, height });
     }
-    let working_height = profile.working_height_px as usize;
-    let working_width = (width * working_height + height / 2) / height;
-    Ok(resize_rgb(&frame.rgb, working_width.max(1), working_height))
+    let (working_width, working_height) = profile.working_size(width, height);
+    Ok(resize_rgb(&frame.rgb, working_width, working_height))
 }
 
 /// A clip being measured.
