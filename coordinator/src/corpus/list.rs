@@ -15,11 +15,11 @@ const VIDEO_COLUMN: &str = "video";
 
 /// One line of a list.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Line {
+pub struct Line {
     /// The video as written.
-    pub(crate) video: String,
+    pub video: String,
     /// The other columns, in their order.
-    pub(crate) carried: Map<String, Value>,
+    pub carried: Map<String, Value>,
 }
 
 /// Whether a path's extension says that it is a list.
@@ -39,7 +39,7 @@ pub(super) fn name_of(written: &str) -> &str {
 ///
 /// # Errors
 /// [`CorpusError::List`] naming file, line and remedy.
-pub(crate) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
+pub fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
     read_columns(path, &|_| true)
 }
 
