@@ -38,14 +38,14 @@ impl Packaging {
     ///
     /// # Errors
     /// When that cannot be written.
-    pub fn run(&self, command: Command) -> anyhow::Result<()> {
+    pub fn run(&self, mut command: Command) -> anyhow::Result<()> {
         match self {
             Self::Man(ManArgs { out }) => man(command, out),
             Self::Completions(CompletionsArgs { shell }) => {
                 // Made whole first: a pipe that closes is an error, not a panic.
                 let mut script = Vec::new();
                 let name = command.get_name().to_owned();
-                clap_complete::generate(*shell, &mut command.clone(), name, &mut script);
+                clap_complete::generate(*shell, &mut command, name, &mut script);
                 let written = std::io::stdout().write_all(&script);
                 written.context("standard output cannot be written")
             }

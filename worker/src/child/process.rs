@@ -25,7 +25,7 @@ use crate::slam;
 /// sees the exit code and the message on standard error.
 pub fn run(memory_mib: u64) -> anyhow::Result<()> {
     limit_resources(memory_mib)?;
-    // Before any other thread is there. What this kernel does not offer is said by whoever runs the worker's log.
+    // Before any other thread is there. What this kernel does not offer, a worker says in its log.
     let _protections = sandbox::confine();
     let (jobs, inbox) = mpsc::sync_channel(1);
     // A thread of its own watches the pipe, so that a child in the middle of a long video still
