@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Sets up and runs the tests.
 # Usage: deploy/test.sh [SUITE]
-#   unit      formatting, lints, documentation, and the tests beside the code
+#   unit      formatting, lints, documentation, the deployment's files, and the tests beside the code
 #   cli       end-to-end tests of the built command
 #   parity    numbers of the reference implementations
 #   numerics  flow, geometry and statistics, with their extremes
@@ -23,6 +23,7 @@ lint() {
     cargo fmt --all --check
     cargo clippy --locked --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --document-private-items --quiet
+    deploy/check.sh
 }
 
 # run FILTER [WRAPPER]: the tests that a nextest filter names; the command under test is built first.

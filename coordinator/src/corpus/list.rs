@@ -15,11 +15,11 @@ const VIDEO_COLUMN: &str = "video";
 
 /// One line of a list.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Line {
+pub struct Line {
     /// The video as written.
-    pub(crate) video: String,
+    pub video: String,
     /// The other columns, in their order.
-    pub(crate) carried: Map<String, Value>,
+    pub carried: Map<String, Value>,
 }
 
 /// Whether a path's extension says that it is a list.
@@ -39,7 +39,7 @@ pub(super) fn name_of(written: &str) -> &str {
 ///
 /// # Errors
 /// [`CorpusError::List`] naming file, line and remedy.
-pub(crate) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
+pub fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
     read_columns(path, &|_| true)
 }
 
@@ -68,8 +68,13 @@ fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }
 
+/// Says what to do where a list cannot be opened or read.
+fn unreadable(error: &std::io::Error) -> String {
+    format!("cannot be read ({error}); check that the file exists and may be read")
+}
+
 fn read_text(path: &Path) -> Result<String, String> {
-    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    let bytes = std::fs::read(path).map_err(|error| unreadable(&error))?;
     let text =
         String::from_utf8(bytes).map_err(|_| "is not UTF-8 text: save it as UTF-8".to_owned())?;
     // Some editors begin UTF-8 files with a byte order mark.
@@ -104,7 +109,8 @@ fn parse_jsonl(text: &str, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, S
 }
 
 fn read_csv(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
-    let mut reader = csv::Reader::from_path(path).map_err(|error| error.to_string())?;
+    let file = File::open(path).map_err(|error| unreadable(&error))?;
+    let mut reader = csv::Reader::from_reader(file);
     let header = reader.headers().map_err(|error| error.to_string())?.clone();
     reader
         .records()
@@ -127,7 +133,7 @@ fn read_csv(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, Str
 
 /// Through Arrow's own JSON writer, so that every column type becomes the JSON value users expect.
 fn read_parquet(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
-    let file = File::open(path).map_err(|error| error.to_string())?;
+    let file = File::open(path).map_err(|error| unreadable(&error))?;
     let reader = ParquetRecordBatchReaderBuilder::try_new(file)
         .and_then(|builder| {
             let fields = builder.schema().fields().iter().enumerate();

@@ -21,7 +21,8 @@ use plumbline_vision::slam::intrinsics::Intrinsics;
 use serde::{Deserialize, Serialize};
 
 pub use group::GroupBy;
-pub(crate) use list::{read as read_list, read_columns as read_list_columns};
+pub(crate) use list::read_columns as read_list_columns;
+pub use list::{Line, read as read_list};
 pub use objects::Buckets;
 pub use source::{Listing, freeze, freeze_anywhere};
 pub(crate) use source::{empty, looked_at_again};

@@ -13,6 +13,7 @@ use rustix::process::{Resource, Rlimit, setrlimit};
 use serde::Serialize;
 
 use super::protocol::{Ask, Drawn, Request};
+use super::sandbox;
 use crate::explain::{self, Picture};
 use crate::measure::{frames, measure_copy, measure_in_detail};
 use crate::slam;
@@ -24,6 +25,8 @@ use crate::slam;
 /// sees the exit code and the message on standard error.
 pub fn run(memory_mib: u64) -> anyhow::Result<()> {
     limit_resources(memory_mib)?;
+    // Before any other thread is there. What this kernel does not offer, a worker says in its log.
+    let _protections = sandbox::confine();
     let (jobs, inbox) = mpsc::sync_channel(1);
     // A thread of its own watches the pipe, so that a child in the middle of a long video still
     // ends at once when its parent is gone.
