@@ -16,28 +16,24 @@ use crate::reduce::values::{Distances, InMemory};
 
 use super::Video;
 
-/// One calibration per rung.
+/// The calibration of one rung.
 #[must_use]
 pub fn calibrate(
     videos: &[Video],
     sample: &[usize],
-    rungs: usize,
+    rung: usize,
     options: &ReduceOptions,
-) -> Vec<Surveyed> {
-    (0..rungs)
-        .map(|rung| {
-            let from_below: Vec<BySignal<Line>> = (0..rung)
-                .map(|below| equate(videos, sample, below, rung))
-                .collect();
-            let rows: Vec<BySignal<Option<f64>>> = videos
-                .iter()
-                .filter_map(|video| values_at(video, rung, &from_below))
-                .collect();
-            let signals = population::in_memory(&rows);
-            let Ok(surveyed) = survey(rows.len() as u64, &signals, options.bins, options.range);
-            surveyed
-        })
-        .collect()
+) -> Surveyed {
+    let from_below: Vec<BySignal<Line>> = (0..rung)
+        .map(|below| equate(videos, sample, below, rung))
+        .collect();
+    let rows: Vec<BySignal<Option<f64>>> = videos
+        .iter()
+        .filter_map(|video| values_at(video, rung, &from_below))
+        .collect();
+    let signals = population::in_memory(&rows);
+    let Ok(surveyed) = survey(rows.len() as u64, &signals, options.bins, options.range);
+    surveyed
 }
 
 /// A video's values at a rung, measured or carried over; `None` where it is not scored.

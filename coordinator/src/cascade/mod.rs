@@ -160,7 +160,9 @@ fn place(videos: &[Video], calibrations: &[Surveyed], options: &ReduceOptions) -
 #[must_use]
 pub fn assess(videos: &[Video], sample: &[usize], options: &ReduceOptions) -> Assessment {
     let rungs = videos.first().map_or(0, |video| video.seen.len());
-    let calibrations = calibrate(videos, sample, rungs, options);
+    let calibrations: Vec<Surveyed> = (0..rungs)
+        .map(|rung| calibrate(videos, sample, rung, options))
+        .collect();
     let placed = place(videos, &calibrations, options);
     let decided = flip::decide(videos, &placed, options);
     let top = rungs.saturating_sub(1);
@@ -168,7 +170,7 @@ pub fn assess(videos: &[Video], sample: &[usize], options: &ReduceOptions) -> As
     let residuals: Vec<Residuals> = (0..top)
         .map(|rung| Residuals::of(videos.iter(), rung, top, &anomaly))
         .collect();
-    let recalibrated = resample::flips(videos, sample, &decided.decisions, options);
+    let recalibrated = resample::flips(videos, sample, &calibrations, &decided.decisions, options);
     let known = videos.iter().zip(&placed).zip(&decided.decisions);
     let judged = known
         .zip(recalibrated)

@@ -15,6 +15,7 @@ use super::flip::decide;
 use super::{Video, place};
 use crate::reduce::ReduceOptions;
 use crate::reduce::draw::index_below;
+use crate::reduce::population::Surveyed;
 
 /// Resamples: the sum over a corpus is wanted, of which a few tell enough.
 const REPLICATES: u8 = 16;
@@ -24,19 +25,29 @@ const REPLICATES: u8 = 16;
 pub fn flips(
     videos: &[Video],
     sample: &[usize],
+    calibrations: &[Surveyed],
     decisions: &[Decision],
     options: &ReduceOptions,
 ) -> Vec<f64> {
-    let rungs = videos.first().map_or(0, |video| video.seen.len());
     let mut flips = vec![0_u8; videos.len()];
-    for seed in 0..REPLICATES {
+    // Without a sample nothing is carried.
+    let replicates = if sample.is_empty() { 0 } else { REPLICATES };
+    for seed in 0..replicates {
         let mut rng = Pcg64::from_seed([seed; 32]);
         let drawn = sample
             .iter()
             .filter_map(|_| sample.get(index_below(sample.len(), &mut rng)));
         let resample: Vec<usize> = drawn.copied().collect();
-        let calibrations = calibrate(videos, &resample, rungs, options);
-        let placed = place(videos, &calibrations, options);
+        let recalibrated: Vec<Surveyed> = calibrations
+            .iter()
+            .enumerate()
+            .map(|(rung, calibration)| match rung {
+                // It has measured everything.
+                0 => calibration.clone(),
+                _ => calibrate(videos, &resample, rung, options),
+            })
+            .collect();
+        let placed = place(videos, &recalibrated, options);
         let others = decide(videos, &placed, options).decisions;
         for ((flips, decision), other) in flips.iter_mut().zip(decisions).zip(&others) {
             *flips += u8::from(decision != other);
