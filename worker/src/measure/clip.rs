@@ -16,6 +16,8 @@ use plumbline_vision::faults::{ChangePair, FaultKind, FaultSeries};
 use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
 use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
+use plumbline_vision::learned::sea_raft::SeaRaftFrame;
+use plumbline_vision::scene::clip::worst_edge;
 use plumbline_vision::scene::{
     AdjustedEdge, ClipGeometry, EdgeInput, RigidSolver, SceneError, TwoViewSolver, clip_layers,
     sample_grid,
@@ -24,10 +26,13 @@ use plumbline_vision::signals::PairSignals;
 
 use super::fill;
 use super::geometry::{DenseGraph, DenseWork};
+use super::learned::{LearnedMeasures, LearnedWork};
+use super::network_flow::{Confidence, NetworkFlow};
 use super::observers::Observers;
 use super::thumbnail::thumbnails;
 use super::verdict::{PairEvidence, verdict};
 use crate::decode::{DecodedFrame, VideoInfo};
+use crate::learned::Networks;
 use crate::profile::Profile;
 
 /// Wider pictures would blow up at the working height; no camera makes them.
@@ -42,12 +47,35 @@ const LEAST_WEIGHT: f64 = 1e-3;
 pub(crate) enum ClipError {
     #[error("the picture is {width}×{height}, an aspect beyond {MAX_ASPECT}:1; crop it")]
     Aspect { width: usize, height: usize },
+    #[error(
+        "a {width}x{height} picture is too small for {stage}: {least} px are needed on each side; enlarge the video"
+    )]
+    TooSmall {
+        stage: &'static str,
+        width: usize,
+        height: usize,
+        least: usize,
+    },
+    #[error(
+        "more than {most} keyframes, which the profile's droid.tracker.buffer allows; cut the clip into parts, or raise that and --memory (some 25 MiB for each keyframe)"
+    )]
+    TooManyKeyframes { most: usize },
     #[error("{stage} at frame {frame}: {source}")]
     Stage {
         stage: &'static str,
         frame: u32,
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+}
+
+impl ClipError {
+    /// What becomes of the video.
+    pub(super) fn status(&self) -> Status {
+        match self {
+            Self::Aspect { .. } | Self::TooManyKeyframes { .. } => Status::OverLimit,
+            Self::TooSmall { .. } | Self::Stage { .. } => Status::Failed,
+        }
+    }
 }
 
 /// Names the stage and frame of an error.
@@ -68,6 +96,7 @@ pub(super) struct Spent {
     pub(super) flow: Duration,
     pub(super) signals: Duration,
     pub(super) geometry: Duration,
+    pub(super) learned: LearnedWork,
 }
 
 /// A frame, prepared once for all pairs that it takes part in.
@@ -75,6 +104,7 @@ pub(super) struct Prepared {
     pub(super) index: u32,
     pub(super) rgb: Rgb8,
     dis: DisFrame,
+    network: Option<SeaRaftFrame>,
     pub(super) normalised: NormalisedFrame,
 }
 
@@ -99,11 +129,16 @@ pub(super) struct Edge {
     from: u32,
     forward: Flow,
     backward: Flow,
+    /// How far the network trusts either flow, where there is one.
+    confidence: Option<[Confidence; 2]>,
     end_point: EndPointError,
     pub(super) change: ChangePair,
     /// Of the earlier frame in the later, and the other way.
     structure: [Structure; 2],
 }
+
+/// Forward and backward flow, and how far each is trusted by the network that found it.
+type Flows = ([Flow; 2], Option<[Confidence; 2]>);
 
 /// A frame at the working size: the profile's height, aspect kept.
 pub(crate) fn working_picture(profile: &Profile, frame: &DecodedFrame) -> Result<Rgb8, ClipError> {
@@ -120,6 +155,8 @@ pub(crate) fn working_picture(profile: &Profile, frame: &DecodedFrame) -> Result
 pub(super) struct Clip<'a> {
     profile: &'a Profile,
     dis: Dis,
+    network_flow: Option<NetworkFlow<'a>>,
+    learned: LearnedMeasures<'a>,
     recent: VecDeque<Rc<Prepared>>,
     usable_frames: u32,
     pairs: Vec<Pair>,
@@ -132,6 +169,8 @@ pub(super) struct Clip<'a> {
     peak: Option<Peak>,
     views: Views,
     faults: FaultSeries,
+    /// Behind e_t, where learned networks have found it.
+    tracked: Option<Vec<AdjustedEdge>>,
     pub(super) spent: Spent,
 }
 
@@ -144,7 +183,8 @@ struct Views {
 }
 
 impl<'a> Clip<'a> {
-    pub(super) fn new(profile: &'a Profile) -> Self {
+    pub(super) fn new(profile: &'a Profile, networks: Networks<'a>) -> Self {
+        let (learned, sea_raft) = LearnedMeasures::new(profile, networks);
         let (solver, geometry_problem) = match TwoViewSolver::new(profile.two_view) {
             Ok(solver) => (Some(solver), None),
             Err(problem) => (None, Some(problem)),
@@ -152,6 +192,8 @@ impl<'a> Clip<'a> {
         Self {
             profile,
             dis: Dis::new(profile.flow.clone()),
+            network_flow: sea_raft.map(NetworkFlow::new),
+            learned,
             recent: VecDeque::new(),
             usable_frames: 0,
             pairs: Vec::new(),
@@ -164,6 +206,7 @@ impl<'a> Clip<'a> {
             peak: None,
             views: Views::default(),
             faults: FaultSeries::default(),
+            tracked: None,
             spent: Spent::default(),
         }
     }
@@ -187,7 +230,11 @@ impl<'a> Clip<'a> {
 
     /// The edge behind the paper's heat map: of those that end at t*, the one of the largest mean residual.
     pub(super) fn take_worst_edge(&mut self, peak_frame: Option<u32>) -> Option<AdjustedEdge> {
-        self.geometry.take()?.worst_edge(peak_frame? as usize)
+        let frame = peak_frame? as usize;
+        match self.tracked.take() {
+            Some(edges) => worst_edge(edges.into_iter(), frame),
+            None => self.geometry.take()?.worst_edge(frame),
+        }
     }
 
     /// Takes the next frame and measures it against the frames before.
@@ -196,6 +243,7 @@ impl<'a> Clip<'a> {
             return Ok(());
         }
         self.usable_frames += 1;
+        self.learned.push(frame.index, &frame.rgb)?;
         let current = Rc::new(self.prepare(frame)?);
         let mut edges = Vec::with_capacity(self.profile.edge_spans.len());
         for earlier in self.recent.clone() {
@@ -225,6 +273,10 @@ impl<'a> Clip<'a> {
         let grey = rgb.grey();
         let started = Instant::now();
         let dis = DisFrame::new(&grey, &self.profile.flow).map_err(at("flow", frame.index))?;
+        let network = match &mut self.network_flow {
+            Some(network) => Some(network.prepare(frame.index, &rgb)?),
+            None => None,
+        };
         self.spent.flow += started.elapsed();
         let normalised = NormalisedFrame::new(&grey, &self.profile.consistency)
             .map_err(at("consistency", frame.index))?;
@@ -232,18 +284,29 @@ impl<'a> Clip<'a> {
             index: frame.index,
             rgb,
             dis,
+            network,
             normalised,
         })
     }
 
-    /// Forward and backward flow between two frames.
-    fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<[Flow; 2], ClipError> {
+    /// Forward and backward flow between two frames, and how far the network that found them trusts them.
+    fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Flows, ClipError> {
         let started = Instant::now();
-        let error = at("flow", later.index);
-        let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
-        let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+        let networks = earlier.network.as_ref().zip(later.network.as_ref());
+        let flows = if let (Some(network), Some((first, second))) =
+            (&mut self.network_flow, networks)
+        {
+            let (forward, ahead) = network.flow(later.index, first, second, &later.rgb)?;
+            let (backward, back) = network.flow(later.index, second, first, &later.rgb)?;
+            ([forward, backward], Some([ahead, back]))
+        } else {
+            let error = at("flow", later.index);
+            let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
+            let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+            ([forward, backward], None)
+        };
         self.spent.flow += started.elapsed();
-        Ok([forward, backward])
+        Ok(flows)
     }
 
     /// The evidence of a step of constant motion, earlier → later, where there is no edge.
@@ -252,7 +315,7 @@ impl<'a> Clip<'a> {
         earlier: &Prepared,
         later: &Prepared,
     ) -> Result<Evidence, ClipError> {
-        let flows = self.flows(earlier, later)?;
+        let (flows, _) = self.flows(earlier, later)?;
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
@@ -265,7 +328,7 @@ impl<'a> Clip<'a> {
 
     /// Both flows between two frames, and the evidence on them.
     fn edge(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Edge, ClipError> {
-        let [forward, backward] = self.flows(earlier, later)?;
+        let ([forward, backward], confidence) = self.flows(earlier, later)?;
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
@@ -289,6 +352,7 @@ impl<'a> Clip<'a> {
             from: earlier.index,
             forward,
             backward,
+            confidence,
             end_point,
             change,
             structure,
@@ -403,7 +467,7 @@ impl<'a> Clip<'a> {
         }
         let flows = [&edge.forward, &edge.backward];
         self.dense
-            .edge(edge.from, to, flows, self.profile.grid.step)
+            .edge(edge.from, to, flows, edge.confidence.as_ref(), self.profile.grid.step)
             .map_err(at("geometry", to))?;
         self.spent.geometry += started.elapsed();
         Ok(())
@@ -446,7 +510,17 @@ impl<'a> Clip<'a> {
             fill::observed(&mut row, &observed);
             self.faults = observed.faults;
         }
+        let (learned, problem) = std::mem::take(&mut self.learned).finish();
+        self.spent.learned = learned.work;
+        fill::learned(&mut row, &learned, self.profile);
+        self.tracked = learned.residuals;
         (row.status, row.status_reason) = self.verdict();
+        if row.status == Status::Scored
+            && let Some(problem) = problem
+        {
+            row.status = problem.status();
+            row.status_reason = Some(problem.to_string());
+        }
         if row.status == Status::Scored && row.reproj_px.is_none() && row.aepe_px.is_none() {
             row.status = Status::Failed;
             row.status_reason = Some("no frame pair could be measured".into());

@@ -9,13 +9,14 @@ use plumbline_vision::flow::Flow;
 use plumbline_vision::scene::{
     AdjustedEdge, ClipGeometry, MotionModel, RigidSolver, SceneError, TwoViewSolver,
 };
-use plumbline_vision::slam::camera::Pinhole;
-use plumbline_vision::slam::flow_operator::{FlowOperatorError, grid_of, sample_flow};
+use plumbline_vision::slam::camera::{Grid, Pinhole};
+use plumbline_vision::slam::flow_operator::{FlowOperatorError, GridAnswer, grid_of, sample_flow};
 use plumbline_vision::slam::intrinsics::Intrinsics;
 use plumbline_vision::slam::tracker::{
     EdgeResidual, FlowEdge, FlowGraph, MOST_CELLS, Solution, TrackError, solve,
 };
 
+use super::network_flow::Confidence;
 use crate::profile::Profile;
 
 /// A clip's correspondences while it streams by.
@@ -41,12 +42,14 @@ impl DenseGraph {
         self.sizes = [video, working];
     }
 
-    /// Takes an edge, earlier to later frame, and its way back.
+    /// Takes an edge, earlier to later frame, and its way back. Where the flows' own confidence is known, it
+    /// weighs the correspondences, beside how well the two agree.
     pub(super) fn edge(
         &mut self,
         from: u32,
         to: u32,
         [forward, backward]: [&Flow; 2],
+        confidence: Option<&[Confidence; 2]>,
         step: usize,
     ) -> Result<(), FlowOperatorError> {
         if self.too_long {
@@ -60,14 +63,18 @@ impl DenseGraph {
             graph.edges.clear();
             return Ok(());
         }
-        for (source, target, there, back) in [
-            (source, target, forward, backward),
-            (target, source, backward, forward),
+        for (way, source, target, there, back) in [
+            (0, source, target, forward, backward),
+            (1, target, source, backward, forward),
         ] {
+            let mut answer = sample_flow(there, back, step)?;
+            if let Some(confidence) = confidence {
+                weigh(&mut answer, &confidence[way], grid, step);
+            }
             graph.edges.push(FlowEdge {
                 source,
                 target,
-                answer: sample_flow(there, back, step)?,
+                answer,
             });
         }
         Ok(())
@@ -114,6 +121,16 @@ impl DenseGraph {
                 Ok((solver.finish()?, saved))
             }
         }
+    }
+}
+
+/// Multiplies weights by the confidence at their cells.
+fn weigh(answer: &mut GridAnswer, confidence: &Confidence, grid: Grid, step: usize) {
+    for (n, weight) in answer.weight.iter_mut().enumerate() {
+        let cell = n % grid.cells();
+        let x = step / 2 + cell % grid.columns * step;
+        let y = step / 2 + cell / grid.columns * step;
+        *weight *= confidence.data[y * confidence.width + x];
     }
 }
 
@@ -192,7 +209,9 @@ mod tests {
             for from in to.saturating_sub(2)..to {
                 let moved = moved * f64::from(to - from);
                 let (there, back) = (flow(moved), flow(-moved));
-                dense.edge(from, to, [&there, &back], step).unwrap();
+                dense
+                    .edge(from, to, [&there, &back], None, step)
+                    .unwrap();
                 let answer = sample_flow(&there, &back, step).unwrap();
                 let edge = EdgeInput {
                     from_frame: from as usize,
@@ -242,6 +261,30 @@ mod tests {
         assert_eq!(work.depth_cells, 6 * 1024);
         // Nothing moves, so that nothing is left by any model.
         assert!(forced.residual_px < 1e-3, "{}", forced.residual_px);
+    }
+
+    /// Cells 4 px apart, the first at 2.
+    #[test]
+    fn confidence_is_read_at_the_cells() {
+        let grid = grid_of(16, 12, 4);
+        let mut answer = GridAnswer {
+            at: vec![0.0; 2 * grid.cells()],
+            weight: vec![0.5; 2 * grid.cells()],
+        };
+        let confidence = Confidence {
+            width: 16,
+            height: 12,
+            data: (0..16 * 12).map(|n| n as f32).collect(),
+        };
+        weigh(&mut answer, &confidence, grid, 4);
+        let (columns, cells) = (grid.columns, grid.cells());
+        let expected = |cell: usize| {
+            0.5 * ((2 + cell / columns * 4) * 16 + 2 + cell % columns * 4) as f32
+        };
+        for cell in 0..cells {
+            assert_eq!(answer.weight[cell], expected(cell));
+            assert_eq!(answer.weight[cells + cell], expected(cell));
+        }
     }
 
     #[test]

@@ -10,6 +10,8 @@ mod clip;
 mod fill;
 pub mod frames;
 mod geometry;
+mod learned;
+mod network_flow;
 mod observers;
 pub(crate) mod read;
 mod thumbnail;
@@ -28,6 +30,7 @@ use plumbline_vision::scene::AdjustedEdge;
 use serde::{Deserialize, Serialize};
 
 use crate::decode::{DecodeError, DecodedFrame, VideoInfo};
+use crate::learned::{Loaded, ModelPlaces, Networks};
 use crate::profile::Profile;
 pub(crate) use clip::working_picture;
 use clip::{Clip, ClipError};
@@ -71,7 +74,17 @@ pub(crate) struct View<'a> {
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
 pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
-    Ok(measure_in_detail(job, None, None)?.outcome)
+    let mut models = Models {
+        loaded: &mut Loaded::default(),
+        places: None,
+    };
+    Ok(measure_in_detail(job, None, &mut models, None)?.outcome)
+}
+
+/// The networks that a child has, and where it finds those that a job needs.
+pub(crate) struct Models<'a> {
+    pub(crate) loaded: &'a mut Loaded,
+    pub(crate) places: Option<&'a ModelPlaces>,
 }
 
 /// Measures one video and gives what is behind the row, too; an object by its copy on this machine.
@@ -81,19 +94,27 @@ pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
 pub(crate) fn measure_in_detail(
     job: &Job,
     copy: Option<&Path>,
+    models: &mut Models<'_>,
     mut view: Option<View<'_>>,
 ) -> Result<Detailed, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
     let (started, cpu_started) = (Instant::now(), cpu_time());
-    let mut clip = Clip::new(&profile);
+    let (networks, missing) = match models.loaded.networks(&profile, models.places) {
+        Ok(networks) => (networks, None),
+        Err(error) => (Networks::default(), Some(error)),
+    };
+    let mut clip = Clip::new(&profile, networks);
     if let Some(view) = &mut view {
         clip.keep_views(std::mem::take(&mut view.wanted_maps));
     }
     let mut times_s = Vec::new();
     let mut cost = Cost::default();
     let input = Input::open(job, copy, &profile.limits);
-    let measurement = match &input {
-        Ok(input) => {
+    let measurement = match (&input, missing) {
+        (Ok(_), Some(missing)) => {
+            Measurement::without_score(Status::Failed, missing.to_string())
+        }
+        (Ok(input), None) => {
             let mut row = match stream(input, &profile, &mut clip, &mut times_s, view) {
                 Ok(info) => clip.finish(&info),
                 Err(refused) => refused.row(),
@@ -102,17 +123,28 @@ pub(crate) fn measure_in_detail(
             row.bytes = Some(job.bytes);
             row
         }
-        Err(error) => error.row(job),
+        (Err(error), _) => error.row(job),
     };
     cost.total_s = started.elapsed().as_secs_f64();
     cost.cpu_s = cpu_time().saturating_sub(cpu_started).as_secs_f64();
     cost.flow_s = clip.spent.flow.as_secs_f64();
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
+    cost.photometric_s = clip.spent.learned.photometric.as_secs_f64();
+    cost.tracking_s = clip.spent.learned.tracking.as_secs_f64();
+    cost.edge_updates = clip.spent.learned.edge_updates;
+    cost.peak_memory_mib = peak_memory_mib();
     cost.adjustment_steps = clip.dense_work.steps as u64;
     cost.depth_cells = clip.dense_work.depth_cells as u64;
     cost.depth_cells_saved = clip.dense_work.depth_cells_saved as u64;
-    cost.decode_s = (cost.total_s - cost.flow_s - cost.signals_s - cost.geometry_s).max(0.0);
+    let stages = [
+        cost.flow_s,
+        cost.signals_s,
+        cost.geometry_s,
+        cost.photometric_s,
+        cost.tracking_s,
+    ];
+    cost.decode_s = (cost.total_s - stages.iter().sum::<f64>()).max(0.0);
     let worst_edge = clip.take_worst_edge(measurement.paper_peak_frame);
     Ok(Detailed {
         outcome: Outcome {
@@ -131,6 +163,14 @@ pub(crate) fn measure_in_detail(
 fn cpu_time() -> Duration {
     use rustix::time::{ClockId, clock_gettime};
     Duration::try_from(clock_gettime(ClockId::ProcessCPUTime)).unwrap_or_default()
+}
+
+/// The most memory that this process has had so far, whatever video it was for; 0 where the system does not say.
+fn peak_memory_mib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = peak.and_then(|peak| peak.split_whitespace().next()?.parse::<u64>().ok());
+    kib.unwrap_or(0) / 1024
 }
 
 /// Why a readable video gives no numbers.
@@ -172,10 +212,7 @@ impl Refused {
     fn row(&self) -> Measurement {
         match self {
             Self::Decode(error) => Measurement::without_score(status_of(error), error.to_string()),
-            Self::Clip(error @ ClipError::Aspect { .. }) => {
-                Measurement::without_score(Status::OverLimit, error.to_string())
-            }
-            Self::Clip(error) => Measurement::without_score(Status::Failed, error.to_string()),
+            Self::Clip(error) => Measurement::without_score(error.status(), error.to_string()),
         }
     }
 }
@@ -189,7 +226,10 @@ impl ReadError {
     pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
-            Self::Changed { .. } | Self::NotRead { .. } | Self::Profile(_) => Status::Failed,
+            Self::Changed { .. }
+            | Self::NotRead { .. }
+            | Self::Profile(_)
+            | Self::Models(_) => Status::Failed,
         };
         let mut row = Measurement::without_score(status, self.to_string());
         row.bytes = Some(job.bytes);
