@@ -35,12 +35,7 @@ pub enum Rung {
 
 impl Rung {
     /// From the cheapest to the dearest.
-    pub const ALL: [Self; 4] = [
-        Self::Draft,
-        Self::Standard,
-        Self::Accurate,
-        Self::Reference,
-    ];
+    pub const ALL: [Self; 4] = [Self::Draft, Self::Standard, Self::Accurate, Self::Reference];
 
     /// The name used on the command line and in every output.
     #[must_use]
@@ -230,7 +225,9 @@ impl Profile {
         let (working_height_px, finest_scale, edge_spans, fault_thresholds) = match rung {
             Rung::Draft => (128, 2, vec![1], FaultThresholds::UNCALIBRATED),
             // What stands beside the learned measures is `standard`'s.
-            Rung::Standard | Rung::Reference => (256, 1, vec![1, 2], FaultThresholds::STANDARD_RECORDED),
+            Rung::Standard | Rung::Reference => {
+                (256, 1, vec![1, 2], FaultThresholds::STANDARD_RECORDED)
+            }
             Rung::Accurate => (512, 0, vec![1, 2, 3], FaultThresholds::UNCALIBRATED),
         };
         // Keyframes that each is joined to, and where the refinement ends: `accurate` goes on to
@@ -287,7 +284,10 @@ impl Profile {
     /// The digests of the model sets that it names, SEA-RAFT's first.
     #[must_use]
     pub fn models(&self) -> [Option<&str>; 2] {
-        let sea_raft = self.sea_raft.as_ref().and_then(|used| used.model.as_deref());
+        let sea_raft = self
+            .sea_raft
+            .as_ref()
+            .and_then(|used| used.model.as_deref());
         let droid = self.droid.as_ref().and_then(|used| used.model.as_deref());
         [sea_raft, droid]
     }
@@ -299,8 +299,14 @@ impl Profile {
         let rung = Self::new(self.rung);
         let [sea_raft, droid] = self.models().map(|model| model.map(str::to_owned));
         let unchanged = Self {
-            sea_raft: rung.sea_raft.map(|used| SeaRaftUse { model: sea_raft, ..used }),
-            droid: rung.droid.map(|used| DroidUse { model: droid, ..used }),
+            sea_raft: rung.sea_raft.map(|used| SeaRaftUse {
+                model: sea_raft,
+                ..used
+            }),
+            droid: rung.droid.map(|used| DroidUse {
+                model: droid,
+                ..used
+            }),
             fault_thresholds: self.fault_thresholds,
             force_adjustment: self.force_adjustment,
             intrinsics: self.intrinsics,
@@ -345,7 +351,10 @@ impl Profile {
                 Rung::Reference => Rung::Standard,
                 rung => rung,
             },
-            sea_raft: self.sea_raft.clone().filter(|used| used.role == SeaRaftRole::Flow),
+            sea_raft: self
+                .sea_raft
+                .clone()
+                .filter(|used| used.role == SeaRaftRole::Flow),
             droid: None,
             ..self.clone()
         }

@@ -32,6 +32,10 @@ pub fn cost_columns() -> Vec<Column<CostRow>> {
         Column::field("flow_s", Float64, |r| r.cost.flow_s.into()),
         Column::field("signals_s", Float64, |r| r.cost.signals_s.into()),
         Column::field("geometry_s", Float64, |r| r.cost.geometry_s.into()),
+        Column::field("photometric_s", Float64, |r| r.cost.photometric_s.into()),
+        Column::field("tracking_s", Float64, |r| r.cost.tracking_s.into()),
+        Column::field("edge_updates", UInt64, |r| r.cost.edge_updates.into()),
+        Column::field("peak_memory_mib", UInt64, |r| r.cost.peak_memory_mib.into()),
         Column::field("adjustment_steps", UInt64, |r| {
             r.cost.adjustment_steps.into()
         }),

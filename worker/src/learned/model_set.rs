@@ -155,7 +155,9 @@ impl ModelSet {
     /// [`ModelError::Damaged`].
     pub fn verify(&self) -> Result<(), ModelError> {
         let graphs = self.sidecar.graphs.values();
-        graphs.map(|graph| self.read_graph(graph).map(drop)).collect()
+        graphs
+            .map(|graph| self.read_graph(graph).map(drop))
+            .collect()
     }
 
     /// SEA-RAFT as WorldScore uses it: at half resolution, with the size's own number of iterations.

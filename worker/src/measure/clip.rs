@@ -293,18 +293,17 @@ impl<'a> Clip<'a> {
     fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Flows, ClipError> {
         let started = Instant::now();
         let networks = earlier.network.as_ref().zip(later.network.as_ref());
-        let flows = if let (Some(network), Some((first, second))) =
-            (&mut self.network_flow, networks)
-        {
-            let (forward, ahead) = network.flow(later.index, first, second, &later.rgb)?;
-            let (backward, back) = network.flow(later.index, second, first, &later.rgb)?;
-            ([forward, backward], Some([ahead, back]))
-        } else {
-            let error = at("flow", later.index);
-            let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
-            let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
-            ([forward, backward], None)
-        };
+        let flows =
+            if let (Some(network), Some((first, second))) = (&mut self.network_flow, networks) {
+                let (forward, ahead) = network.flow(later.index, first, second, &later.rgb)?;
+                let (backward, back) = network.flow(later.index, second, first, &later.rgb)?;
+                ([forward, backward], Some([ahead, back]))
+            } else {
+                let error = at("flow", later.index);
+                let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
+                let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+                ([forward, backward], None)
+            };
         self.spent.flow += started.elapsed();
         Ok(flows)
     }
@@ -467,7 +466,13 @@ impl<'a> Clip<'a> {
         }
         let flows = [&edge.forward, &edge.backward];
         self.dense
-            .edge(edge.from, to, flows, edge.confidence.as_ref(), self.profile.grid.step)
+            .edge(
+                edge.from,
+                to,
+                flows,
+                edge.confidence.as_ref(),
+                self.profile.grid.step,
+            )
             .map_err(at("geometry", to))?;
         self.spent.geometry += started.elapsed();
         Ok(())

@@ -97,7 +97,9 @@ pub(super) fn learned(row: &mut Measurement, found: &LearnedResult, profile: &Pr
     row.worldscore_3d = found.reprojection_cells.map(consistency_3d);
     let [sea_raft, droid] = profile.models();
     let named = [("sea-raft", sea_raft), ("droid", droid)];
-    let named = named.iter().filter_map(|(name, digest)| Some(format!("{name} {}", (*digest)?)));
+    let named = named
+        .iter()
+        .filter_map(|(name, digest)| Some(format!("{name} {}", (*digest)?)));
     row.models = Some(named.collect::<Vec<_>>().join(", ")).filter(|models| !models.is_empty());
 }
 

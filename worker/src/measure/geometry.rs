@@ -209,9 +209,7 @@ mod tests {
             for from in to.saturating_sub(2)..to {
                 let moved = moved * f64::from(to - from);
                 let (there, back) = (flow(moved), flow(-moved));
-                dense
-                    .edge(from, to, [&there, &back], None, step)
-                    .unwrap();
+                dense.edge(from, to, [&there, &back], None, step).unwrap();
                 let answer = sample_flow(&there, &back, step).unwrap();
                 let edge = EdgeInput {
                     from_frame: from as usize,
@@ -278,9 +276,8 @@ mod tests {
         };
         weigh(&mut answer, &confidence, grid, 4);
         let (columns, cells) = (grid.columns, grid.cells());
-        let expected = |cell: usize| {
-            0.5 * ((2 + cell / columns * 4) * 16 + 2 + cell % columns * 4) as f32
-        };
+        let expected =
+            |cell: usize| 0.5 * ((2 + cell / columns * 4) * 16 + 2 + cell % columns * 4) as f32;
         for cell in 0..cells {
             assert_eq!(answer.weight[cell], expected(cell));
             assert_eq!(answer.weight[cells + cell], expected(cell));

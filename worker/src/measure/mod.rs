@@ -111,9 +111,7 @@ pub(crate) fn measure_in_detail(
     let mut cost = Cost::default();
     let input = Input::open(job, copy, &profile.limits);
     let measurement = match (&input, missing) {
-        (Ok(_), Some(missing)) => {
-            Measurement::without_score(Status::Failed, missing.to_string())
-        }
+        (Ok(_), Some(missing)) => Measurement::without_score(Status::Failed, missing.to_string()),
         (Ok(input), None) => {
             let mut row = match stream(input, &profile, &mut clip, &mut times_s, view) {
                 Ok(info) => clip.finish(&info),
@@ -226,10 +224,9 @@ impl ReadError {
     pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
-            Self::Changed { .. }
-            | Self::NotRead { .. }
-            | Self::Profile(_)
-            | Self::Models(_) => Status::Failed,
+            Self::Changed { .. } | Self::NotRead { .. } | Self::Profile(_) | Self::Models(_) => {
+                Status::Failed
+            }
         };
         let mut row = Measurement::without_score(status, self.to_string());
         row.bytes = Some(job.bytes);

@@ -329,7 +329,11 @@ impl CorrespondenceOperator for DroidOperator {
 
     fn forget(&mut self, frame: usize) {
         // The motion filter compares the next frame with the newest keyframe, whatever became of it.
-        if self.newest.as_ref().is_none_or(|newest| newest.frame != frame) {
+        if self
+            .newest
+            .as_ref()
+            .is_none_or(|newest| newest.frame != frame)
+        {
             self.keyframes.remove(&frame);
         }
     }

@@ -231,10 +231,7 @@ impl AdjustedEdge {
 }
 
 /// i*: of the edges whose later frame is `frame`, the one of the largest mean residual; the first of equals.
-pub fn worst_edge(
-    edges: impl Iterator<Item = AdjustedEdge>,
-    frame: usize,
-) -> Option<AdjustedEdge> {
+pub fn worst_edge(edges: impl Iterator<Item = AdjustedEdge>, frame: usize) -> Option<AdjustedEdge> {
     edges
         .filter(|edge| edge.from_frame.max(edge.to_frame) == frame && edge.cells > 0)
         .reduce(|worst, edge| match edge.mean_px() > worst.mean_px() {

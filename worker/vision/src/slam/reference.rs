@@ -299,7 +299,10 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
                 rows: grid.rows,
                 sum_px: lengths.iter().flatten().sum(),
                 cells: lengths.iter().flatten().count(),
-                map_px: lengths.iter().map(|length| length.map(|l| l as f32)).collect(),
+                map_px: lengths
+                    .iter()
+                    .map(|length| length.map(|l| l as f32))
+                    .collect(),
             }
         };
         self.graph.active.iter().map(of_edge).collect()
