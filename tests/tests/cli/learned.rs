@@ -34,7 +34,7 @@ fn models() -> Option<(PathBuf, PathBuf)> {
 /// Two clips and a profile that is quick.
 fn place() -> Place {
     let place = Place::new();
-    for (seed, family) in [Family::Push, Family::Dolly].into_iter().enumerate() {
+    for (seed, family) in [Family::Pan, Family::Dolly].into_iter().enumerate() {
         let spec = ClipSpec {
             frames: 5,
             fps: 10.0,
@@ -128,7 +128,7 @@ fn the_reference_profile_measures_what_worldscore_measures_and_names_its_models(
     );
     for costs in out.jsonl("costs.jsonl") {
         assert!(number(&costs, "photometric_s") > 0.0 && number(&costs, "tracking_s") > 0.0);
-        assert!(number(&costs, "edge_updates") > 80.0 && number(&costs, "peak_memory_mib") > 20.0);
+        assert!(number(&costs, "edge_updates") > 50.0 && number(&costs, "peak_memory_mib") > 20.0);
     }
     let table = out.csv("scores.csv");
     assert_eq!(
@@ -227,7 +227,11 @@ fn without_models_or_library_nothing_begins() {
     std::fs::create_dir(place.path("empty")).unwrap();
     std::fs::write(place.path("text"), "no library").unwrap();
     let refused = |words: &[&str], told: &[&str]| {
-        let words = [&["videos", "--profile", "reference", "--out", "out"], words].concat();
+        let words = [
+            &["videos", "--profile", "reference", "--out", "out"][..],
+            words,
+        ]
+        .concat();
         let ended = Started::start(&mut place.score(&words)).wait();
         let ended = ended.expect_code(2).expect_line(told);
         assert_eq!(ended.stderr.lines().count(), 1, "{}", ended.stderr);
@@ -240,10 +244,10 @@ fn without_models_or_library_nothing_begins() {
         "--models",
         "--onnxruntime",
     ];
-    refused(&[], &[&["SEA-RAFT"], &remedy[..]].concat());
+    refused(&[], &[&["SEA-RAFT"][..], &remedy[..]].concat());
     refused(
         &["--models", "empty"],
-        &[&["empty holds no"], &remedy[..]].concat(),
+        &[&["empty holds no"][..], &remedy[..]].concat(),
     );
     let Some((sets, _)) = models() else {
         return;

@@ -30,7 +30,7 @@ async fn a_worker_fetches_models_by_digest_and_measures_the_same() {
     let spec = ClipSpec {
         frames: 4,
         fps: 10.0,
-        ..ClipSpec::clean(Family::Push, 0, 0).with_size(256, 256)
+        ..ClipSpec::clean(Family::Dolly, 0, 0).with_size(256, 256)
     };
     clips::write(&fleet.place.video("clip.mp4"), &clips::frames(&spec));
     fleet.upload().await;
