@@ -97,6 +97,8 @@ pub struct DroidUse {
     pub model: Option<String>,
     /// Frames are scaled to this area, px.
     pub area_px: u32,
+    /// Longer clips are refused before the first frame: memory grows with the frames, and so do hours.
+    pub most_frames: u32,
     /// The networks.
     pub operator: DroidOperatorParams,
     /// The tracker.
@@ -104,16 +106,14 @@ pub struct DroidUse {
 }
 
 impl Default for DroidUse {
-    /// WorldScore's constants, but for the number of keyframes: a child of 4 GiB has no room for its 512.
+    /// WorldScore's constants. Its 512 keyframes would not fit into 4 GiB, hence fewer frames.
     fn default() -> Self {
         Self {
             model: None,
             area_px: 512 * 512,
+            most_frames: 100,
             operator: DroidOperatorParams::default(),
-            tracker: ReferenceParams {
-                buffer: 120,
-                ..ReferenceParams::default()
-            },
+            tracker: ReferenceParams::default(),
         }
     }
 }

@@ -66,8 +66,8 @@ fn takes(profile: &Profile) -> Vec<String> {
     }
     if let Some(droid) = &profile.droid {
         lines.push(format!(
-            "takes a minute or two per frame and core, tens of minutes per clip, and up to 4 GiB per clip of {} keyframes; longer ones are over_limit",
-            droid.tracker.buffer
+            "takes a minute or two per frame and core, tens of minutes per clip, and up to 4 GiB for a clip of {} frames; longer ones are over_limit",
+            droid.most_frames
         ));
     }
     lines

@@ -199,8 +199,8 @@ fn clips_beyond_what_the_networks_take_are_told_why() {
         return;
     };
     let place = place();
-    clips::write_moving(&place.video("little.mp4"), 0);
-    let few = SMALL.replace("backend_steps", "buffer = 3\nbackend_steps");
+    clips::write_short(&place.video("little.mp4"), 0, 3);
+    let few = SMALL.replace("area_px", "most_frames = 4\narea_px");
     std::fs::write(place.path("few.toml"), few).unwrap();
     score(&place, &models, &["--profile", "few.toml", "--out", "out"]).expect_code(3);
     let reason = |video: &str, status: &str| {
@@ -210,7 +210,7 @@ fn clips_beyond_what_the_networks_take_are_told_why() {
     };
     let long = reason("clip-0.mp4", "over_limit");
     assert!(
-        long.contains("3 keyframes") && long.contains("droid.tracker.buffer"),
+        long.contains("5 frames") && long.contains("droid.most_frames"),
         "{long}"
     );
     let little = reason("little.mp4", "failed");

@@ -57,9 +57,9 @@ pub(crate) enum ClipError {
         least: usize,
     },
     #[error(
-        "more than {most} keyframes, which the profile's droid.tracker.buffer allows; cut the clip into parts, or raise that and --memory (some 25 MiB for each keyframe)"
+        "{frames} frames, more than the {most} that droid.most_frames of the profile allows; cut the clip into parts, or raise that and --memory by some 30 MiB for each frame"
     )]
-    TooManyKeyframes { most: usize },
+    TooLong { frames: u32, most: u32 },
     #[error("{stage} at frame {frame}: {source}")]
     Stage {
         stage: &'static str,
@@ -72,7 +72,7 @@ impl ClipError {
     /// What becomes of the video.
     pub(super) fn status(&self) -> Status {
         match self {
-            Self::Aspect { .. } | Self::TooManyKeyframes { .. } => Status::OverLimit,
+            Self::Aspect { .. } | Self::TooLong { .. } => Status::OverLimit,
             Self::TooSmall { .. } | Self::Stage { .. } => Status::Failed,
         }
     }
@@ -525,6 +525,13 @@ impl<'a> Clip<'a> {
         {
             row.status = problem.status();
             row.status_reason = Some(problem.to_string());
+        }
+        if row.status == Status::Scored
+            && self.profile.droid.is_some()
+            && row.reproj_droid_px.is_none()
+        {
+            row.status = Status::Failed;
+            row.status_reason = Some("3D consistency: nothing lies before the camera".into());
         }
         if row.status == Status::Scored && row.reproj_px.is_none() && row.aepe_px.is_none() {
             row.status = Status::Failed;

@@ -15,7 +15,7 @@ use plumbline_vision::learned::sea_raft::{SeaRaft, SeaRaftFrame};
 use plumbline_vision::learned::tracking_picture::TrackingPicture;
 use plumbline_vision::scene::AdjustedEdge;
 use plumbline_vision::slam::camera::Grid;
-use plumbline_vision::slam::reference::{ReferenceTracker, TrackError};
+use plumbline_vision::slam::reference::ReferenceTracker;
 
 use super::clip::{ClipError, at};
 use crate::learned::Networks;
@@ -201,7 +201,7 @@ impl Tracking<'_> {
         if offered.map_err(learned_error("3D consistency", frame))? {
             tracker
                 .push(frame as usize)
-                .map_err(|error| tracking_error(error, frame))?;
+                .map_err(at("3D consistency", frame))?;
         }
         self.spent += started.elapsed();
         Ok(())
@@ -223,7 +223,7 @@ impl Tracking<'_> {
         *self.home = Some((self.digest, operator.into_networks()));
         match finished {
             Ok(_) => Ok(()),
-            Err(error) => Err(tracking_error(error, self.last_frame)),
+            Err(error) => Err(at("3D consistency", self.last_frame)(error)),
         }
     }
 }
@@ -242,13 +242,6 @@ pub(super) fn learned_error(stage: &'static str, frame: u32) -> impl Fn(LearnedE
             least,
         },
         error => at(stage, frame)(error),
-    }
-}
-
-fn tracking_error(error: TrackError, frame: u32) -> ClipError {
-    match error {
-        TrackError::TooManyKeyframes { most } => ClipError::TooManyKeyframes { most },
-        error => at("3D consistency", frame)(error),
     }
 }
 

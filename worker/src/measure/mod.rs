@@ -184,6 +184,7 @@ fn stream(
     times_s: &mut Vec<f64>,
     mut view: Option<View<'_>>,
 ) -> Result<VideoInfo, Refused> {
+    check_length(input, profile)?;
     let mut refused = None;
     let info = input.decode(profile, &mut |frame| {
         times_s.push(frame.time_s);
@@ -203,6 +204,19 @@ fn stream(
         (_, Some(error)) => Err(Refused::Clip(error)),
         (Err(error), None) => Err(Refused::Decode(error)),
         (Ok(info), None) => Ok(info),
+    }
+}
+
+/// Counts the frames first where each takes minutes: a clip that is too long is refused at once.
+fn check_length(input: &Input, profile: &Profile) -> Result<(), Refused> {
+    let Some(droid) = &profile.droid else {
+        return Ok(());
+    };
+    let counted = input.decode(profile, &mut |_| ControlFlow::Continue(()));
+    let (frames, most) = (counted.map_err(Refused::Decode)?.frames, droid.most_frames);
+    match frames > most {
+        true => Err(Refused::Clip(ClipError::TooLong { frames, most })),
+        false => Ok(()),
     }
 }
 
