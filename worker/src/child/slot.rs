@@ -372,6 +372,10 @@ impl ComputeSlot {
             .env_clear()
             .envs(passed_on)
             .env("RUST_BACKTRACE", "0")
+            // It may not write a file, and ends where it tries: ONNX Runtime keeps a database of its own
+            // doings below these, and does without where there is no such directory.
+            .env("HOME", "/dev/null")
+            .env("XDG_CACHE_HOME", "/dev/null")
             .arg(CHILD_ARGUMENT)
             .arg(MEMORY_ARGUMENT)
             .arg(self.limits.memory_mib.to_string())
