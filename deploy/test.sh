@@ -51,6 +51,24 @@ export_prototype() {
     touch "$out/done"
 }
 
+# Small model sets of random weights, for the tests of the command; made anew when the converter is newer.
+seed_models() {
+    local work=${CARGO_TARGET_DIR:-$root/target}/tmp
+    deploy/models/setup.sh "$work/models-venv" >/dev/null
+    [ -z "$(find deploy/models -name '*.py' -newer "$work/models/done" 2>&1)" ] && return
+    say "converting models of random weights"
+    rm -rf "$work/models"
+    mkdir -p "$work/models"
+    local network name python="$work/models-venv/bin/python -B"
+    for network in sea-raft droid; do
+        name=${network/raft/raft-small}
+        $python deploy/models/seeded.py "$name" "$work/$name.safetensors"
+        $python deploy/models/convert.py "$network" "$work/$name.safetensors" --out "$work/models/$name" >/dev/null
+        rm "$work/$name.safetensors"
+    done
+    touch "$work/models/done"
+}
+
 # The model converter's own tests, its networks against the reference's numbers where those are at hand, and
 # the converted sets for the tests in Rust.
 convert_models() {
@@ -74,10 +92,10 @@ servers=deploy/servers.sh
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
     unit) lint; run "not ($cli) and not ($parity) and not ($numerics) and not ($fleet)" ;;
-    cli) run "$cli" ;;
+    cli) seed_models; run "$cli" ;;
     parity) export_prototype; convert_models; run "$parity" ;;
     numerics) run "$numerics" ;;
-    fleet) run "$fleet" "$servers" ;;
-    all) lint; export_prototype; convert_models; run 'all()' "$servers" ;;
+    fleet) seed_models; run "$fleet" "$servers" ;;
+    all) lint; export_prototype; convert_models; seed_models; run 'all()' "$servers" ;;
     *) echo "unknown suite $suite: unit, cli, parity, numerics or fleet" >&2; exit 2 ;;
 esac

@@ -108,7 +108,13 @@ impl ScoreOptions {
             let limits = &self.slots.limits;
             told.push((
                 "deadline per video".to_owned(),
-                format!("{} s", limits.deadline_s),
+                format!(
+                    "{} s",
+                    match self.profile.is_learned() {
+                        true => limits.learned_deadline_s,
+                        false => limits.deadline_s,
+                    }
+                ),
             ));
             told.push((
                 "memory per compute process".to_owned(),

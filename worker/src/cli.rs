@@ -111,6 +111,12 @@ struct WorkerArgs {
     /// Memory of one compute process, MiB
     #[arg(long, value_name = "MIB")]
     memory: Option<u64>,
+    /// Converted model sets of learned networks: a directory or s3://BUCKET/PREFIX [default: models.place]
+    #[arg(long, value_name = "PLACE")]
+    models: Option<String>,
+    /// ONNX Runtime's shared library, which runs them [default: models.runtime]
+    #[arg(long, value_name = "FILE")]
+    onnxruntime: Option<PathBuf>,
     /// Answers every job with a fixed row, to try queues out
     #[arg(long, hide = true)]
     no_op: bool,
@@ -161,7 +167,10 @@ impl WorkerArgs {
         let mut settings = Settings::load()?;
         if let Some(deadline_s) = self.deadline {
             settings.compute.deadline_s = deadline_s;
+            settings.compute.learned_deadline_s = deadline_s;
         }
+        settings.models.place = self.models.or(settings.models.place);
+        settings.models.runtime = self.onnxruntime.or(settings.models.runtime);
         if let Some(memory_mib) = self.memory {
             settings.compute.memory_mib = memory_mib;
         }
@@ -194,7 +203,8 @@ impl WorkerArgs {
                 grace: Duration::from_secs(self.grace),
                 files: self.files.map(canonical).transpose()?,
                 compute,
-                fetcher: Fetcher::new(settings.store.s3_options(), scratch),
+                fetcher: Fetcher::new(settings.store.s3_options(), scratch)
+                    .with_models(settings.models.clone()),
                 fetch_retries: FETCH_RETRIES,
             },
             listen: self.listen,

@@ -29,7 +29,9 @@ pub(super) struct ExplainArgs {
 }
 
 pub(super) fn run(args: ExplainArgs) -> Result<u8, Failure> {
-    let Measuring { mut profile, slots } = args.measuring.usable(Some(1))?;
+    let measuring = args.measuring.usable(Some(1))?;
+    measuring.load_networks()?;
+    let Measuring { mut profile, slots } = measuring;
     let fault_calibration = args.thresholds.apply(&mut profile)?;
     let options = ExplainOptions {
         video: args.video,

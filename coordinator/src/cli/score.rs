@@ -163,7 +163,12 @@ impl ScoreArgs {
 
     /// From what was typed to what is usable.
     fn into_options(self) -> Result<ScoreOptions, Failure> {
-        let Measuring { mut profile, slots } = self.measuring.usable(self.jobs)?;
+        let measuring = self.measuring.usable(self.jobs)?;
+        // A fleet's workers have places and libraries of their own.
+        if !self.fleet.is_given() {
+            measuring.load_networks()?;
+        }
+        let Measuring { mut profile, slots } = measuring;
         let fault_calibration = self.thresholds.apply(&mut profile)?;
         let reduce = self.reducing.options(Some(&profile))?;
         let cascade = self

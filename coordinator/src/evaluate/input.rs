@@ -27,7 +27,11 @@ impl ScoreRow {
     /// The measured values; `None` for a row that is not scored.
     pub(super) fn signals(&self) -> Option<BySignal<Option<f64>>> {
         let scored = self.status == Status::Scored.as_str();
-        let value = |signal: Signal| self.columns.get(signal.column()).and_then(number);
+        let column = |name: &str| self.columns.get(name).and_then(number);
+        let value = |signal: Signal| {
+            let preferred = signal.preferred_column().and_then(column);
+            preferred.or_else(|| column(signal.column()))
+        };
         scored.then(|| BySignal::from_fn(value))
     }
 
@@ -246,7 +250,9 @@ fn read_scores(options: &EvaluateOptions) -> Result<BTreeMap<String, ScoreRow>, 
     ];
     let wanted = |column: &str| {
         ["anomaly", "status", "group", "task"].contains(&column)
-            || Signal::ALL.iter().any(|signal| signal.column() == column)
+            || Signal::ALL.iter().any(|signal| {
+                signal.column() == column || signal.preferred_column() == Some(column)
+            })
             || named.iter().flatten().any(|named| *named == column)
     };
     let mut rows = BTreeMap::new();

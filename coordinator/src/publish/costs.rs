@@ -54,6 +54,10 @@ pub fn cost_columns(rows: &[CostRow]) -> Vec<Column<CostRow>> {
             r.cost.flow_pairs_saved.into()
         }),
         Column::field("frames_repeated", UInt64, |r| r.cost.frames_repeated.into()),
+        Column::field("photometric_s", Float64, |r| r.cost.photometric_s.into()),
+        Column::field("tracking_s", Float64, |r| r.cost.tracking_s.into()),
+        Column::field("edge_updates", UInt64, |r| r.cost.edge_updates.into()),
+        Column::field("peak_memory_mib", UInt64, |r| r.cost.peak_memory_mib.into()),
         Column::field("adjustment_steps", UInt64, |r| {
             r.cost.adjustment_steps.into()
         }),

@@ -66,6 +66,16 @@ fn measured() -> Vec<Column<Row>> {
         Column::field("aepe_worldscore_px", Float64, |r| {
             r.measured.aepe_worldscore_px.into()
         }),
+        Column::field("reproj_droid_px", Float64, |r| {
+            r.measured.reproj_droid_px.into()
+        }),
+        Column::field("worldscore_3d", Float64, |r| {
+            r.measured.worldscore_3d.into()
+        }),
+        Column::field("worldscore_photometric", Float64, |r| {
+            r.measured.worldscore_photometric.into()
+        }),
+        Column::field("models", Text, |r| r.measured.models.as_deref().into()),
         Column::field("occluded_fraction", Float64, |r| {
             r.measured.occluded_fraction.into()
         }),
@@ -182,7 +192,8 @@ mod tests {
     const DOCUMENTED: &str = "video, group, status, status_reason, digest, bytes, frames, fps, \
         width, height, duration_s, scene, motion_px, reproj_px, reproj_method, \
         layer_residual_px, aepe_px, \
-        aepe_worldscore_px, occluded_fraction, piecewise_residual, appearance_ratio, \
+        aepe_worldscore_px, reproj_droid_px, worldscore_3d, worldscore_photometric, models, \
+        occluded_fraction, piecewise_residual, appearance_ratio, \
         layer_acceleration, layer_acceleration_q25, interior_shear, detail_change, detail_change_q25, \
         contact, \
         z_reproj_px, z_aepe_worldscore_px, z_piecewise_residual, z_appearance_ratio, \

@@ -3,7 +3,8 @@
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
 //! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `evaluate`,
 //! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`, `tradeoff`: the commands and flags of these names.
-//! `cascade`: budgets. `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers.
+//! `learned`: the profile `reference` and SEA-RAFT's flow, over models of random weights. `cascade`: budgets.
+//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers.
 //! `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
@@ -24,6 +25,7 @@ mod frozen;
 mod heatmaps;
 mod hostile;
 mod judge;
+mod learned;
 mod main_path;
 mod outlier;
 mod paper;

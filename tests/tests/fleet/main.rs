@@ -2,7 +2,8 @@
 //!
 //! `score`: what the README says, from nothing to scores with two workers, and the same bytes as without a
 //! fleet; `resume`: a coordinator that is killed, and two for one run; `dead`: jobs that no worker gets done,
-//! and their second chance; `cascade`: waves with several profiles; `setup`: a fleet of its own for each test.
+//! and their second chance; `cascade`: waves with several profiles; `learned`: model sets by digest from the
+//! store; `setup`: a fleet of its own for each test.
 
 #![allow(
     clippy::unwrap_used,
@@ -13,6 +14,7 @@
 
 mod cascade;
 mod dead;
+mod learned;
 mod resume;
 mod score;
 mod setup;

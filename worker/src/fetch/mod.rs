@@ -1,4 +1,5 @@
-//! The bytes of a job's object, brought to this machine before its child measures them.
+//! The bytes of a job's object, and the networks of its profile, brought to this machine before its child
+//! measures them.
 //!
 //! Ranged, in the version that was listed, and never more than the profile allows. What is said of an
 //! object in a row names its address and is the same text on every machine: neither the scratch file nor
@@ -16,10 +17,12 @@ use plumbline_common::row::Measurement;
 use plumbline_common::store::{
     ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_to_file,
 };
+use serde::Deserialize;
 use tempfile::TempPath;
 use tokio::sync::{Mutex, OnceCell};
 
 use self::scratch::Scratch;
+use crate::learned::{ModelPlaces, ModelSettings, ModelSource, SourceError};
 use crate::measure::read::ReadError;
 use crate::profile::Profile;
 
@@ -30,6 +33,7 @@ const MAX_OPEN_STORES: usize = 64;
 #[derive(Debug, Clone)]
 pub struct Fetcher {
     shared: Arc<Shared>,
+    models: Arc<ModelSource>,
 }
 
 #[derive(Debug)]
@@ -50,9 +54,21 @@ pub struct Fetched {
     pub bytes: u64,
     /// How long that took.
     pub took: Duration,
+    /// Where the networks are that its profile needs.
+    pub(crate) models: Option<ModelPlaces>,
 }
 
 impl Fetched {
+    /// No video, only networks.
+    pub(crate) fn of_models(models: Option<ModelPlaces>) -> Self {
+        Self {
+            copy: None,
+            bytes: 0,
+            took: Duration::ZERO,
+            models,
+        }
+    }
+
     /// The copy, where the job is an object.
     pub(crate) fn path(&self) -> Option<&Path> {
         self.copy.as_deref()
@@ -88,6 +104,7 @@ impl Fetcher {
     #[must_use]
     pub fn new(s3: S3Options, scratch_parent: impl Into<PathBuf>) -> Self {
         Self {
+            models: Arc::new(ModelSource::new(ModelSettings::default(), s3.clone())),
             shared: Arc::new(Shared {
                 s3,
                 scratch_parent: scratch_parent.into(),
@@ -95,6 +112,37 @@ impl Fetcher {
                 stores: Mutex::default(),
             }),
         }
+    }
+
+    /// The same, with learned networks from where these settings say.
+    #[must_use]
+    pub fn with_models(self, settings: ModelSettings) -> Self {
+        let s3 = self.shared.s3.clone();
+        Self {
+            models: Arc::new(ModelSource::new(settings, s3)),
+            ..self
+        }
+    }
+
+    /// Where model sets come from.
+    #[must_use]
+    pub fn model_source(&self) -> &ModelSource {
+        &self.models
+    }
+
+    /// Where the networks of a profile (in its canonical form) are on this machine; brought here where they
+    /// were not. `None` for a profile without any.
+    pub(crate) async fn models(&self, profile: &[u8]) -> Result<Option<ModelPlaces>, SourceError> {
+        // What does not decode is refused by whoever measures.
+        let Ok(wanted) = serde_json::from_slice::<WantedModels>(profile) else {
+            return Ok(None);
+        };
+        let [sea_raft, droid] = [&wanted.sea_raft, &wanted.droid]
+            .map(|wanted| wanted.as_ref().and_then(|wanted| wanted.model.as_deref()));
+        if sea_raft.is_none() && droid.is_none() {
+            return Ok(None);
+        }
+        self.models.places(sea_raft, droid).await.map(Some)
     }
 
     /// How stores are spoken to.
@@ -115,6 +163,8 @@ impl Fetcher {
     /// [`FetchError`], with the row that the video gets if nobody tries again.
     pub async fn fetch(&self, job: &Job) -> Result<Fetched, FetchError> {
         let started = Instant::now();
+        let models = self.models(&job.profile).await;
+        let models = models.map_err(|error| no_models(job, error))?;
         let (copy, bytes) = match &job.location {
             Location::File(_) | Location::ImageSequence(_) => (None, 0),
             Location::Object(object) => (Some(self.copy(job, object).await?), job.bytes),
@@ -123,6 +173,7 @@ impl Fetcher {
             copy,
             bytes,
             took: started.elapsed(),
+            models,
         })
     }
 
@@ -203,6 +254,31 @@ impl Fetcher {
             Arc::new(S3Store::connect(bucket, "", &self.shared.s3).await?);
         stores.insert(bucket.to_owned(), Arc::clone(&store));
         Ok(store)
+    }
+}
+
+/// Of a profile, what says which networks it needs.
+#[derive(Deserialize)]
+struct WantedModels {
+    sea_raft: Option<WantedModel>,
+    droid: Option<WantedModel>,
+}
+
+#[derive(Deserialize)]
+struct WantedModel {
+    model: Option<String>,
+}
+
+/// Another machine may have them.
+fn no_models(job: &Job, error: SourceError) -> FetchError {
+    let said = ReadError::Models(error.to_string());
+    FetchError {
+        failure: match error.is_passing() {
+            true => FetchFailure::Passing,
+            false => FetchFailure::Refused,
+        },
+        row: Box::new(said.row(job)),
+        source: error.into(),
     }
 }
 

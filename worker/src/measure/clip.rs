@@ -16,16 +16,21 @@ use plumbline_vision::faults::{ChangePair, FaultKind, FaultSeries};
 use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
 use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
+use plumbline_vision::learned::sea_raft::SeaRaftFrame;
+use plumbline_vision::scene::clip::worst_edge;
 use plumbline_vision::scene::{AdjustedEdge, ClipGeometry, clip_layers};
 use plumbline_vision::signals::PairSignals;
 
-use super::edges::{Edges, Flows};
+use super::edges::{Edges, Flows, PairFlows};
 use super::fill;
 use super::geometry::DenseWork;
+use super::learned::{LearnedMeasures, LearnedWork};
+use super::network_flow::NetworkFlow;
 use super::observers::Observers;
 use super::thumbnail::thumbnails;
 use super::verdict::{PairEvidence, verdict};
 use crate::decode::{DecodedFrame, VideoInfo};
+use crate::learned::Networks;
 use crate::profile::Profile;
 
 /// Wider pictures would blow up at the working height; no camera makes them.
@@ -36,12 +41,35 @@ const MAX_ASPECT: usize = 8;
 pub(crate) enum ClipError {
     #[error("the picture is {width}×{height}, an aspect beyond {MAX_ASPECT}:1; crop it")]
     Aspect { width: usize, height: usize },
+    #[error(
+        "a {width}x{height} picture is too small for {stage}: {least} px are needed on each side; enlarge the video"
+    )]
+    TooSmall {
+        stage: &'static str,
+        width: usize,
+        height: usize,
+        least: usize,
+    },
+    #[error(
+        "{frames} frames, more than the {most} that droid.most_frames of the profile allows; cut the clip into parts, or raise that and --memory by some 30 MiB for each frame"
+    )]
+    TooLong { frames: u32, most: u32 },
     #[error("{stage} at frame {frame}: {source}")]
     Stage {
         stage: &'static str,
         frame: u32,
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+}
+
+impl ClipError {
+    /// What becomes of the video.
+    pub(super) fn status(&self) -> Status {
+        match self {
+            Self::Aspect { .. } | Self::TooLong { .. } => Status::OverLimit,
+            Self::TooSmall { .. } | Self::Stage { .. } => Status::Failed,
+        }
+    }
 }
 
 /// Names the stage and frame of an error.
@@ -62,6 +90,7 @@ pub(super) struct Spent {
     pub(super) flow: Duration,
     pub(super) signals: Duration,
     pub(super) geometry: Duration,
+    pub(super) learned: LearnedWork,
 }
 
 /// A frame, prepared once for all pairs that it takes part in.
@@ -69,6 +98,7 @@ pub(super) struct Prepared {
     pub(super) index: u32,
     pub(super) rgb: Rgb8,
     dis: Rc<DisFrame>,
+    network: Option<Rc<SeaRaftFrame>>,
     pub(super) normalised: Rc<NormalisedFrame>,
 }
 
@@ -120,6 +150,8 @@ pub(crate) fn working_picture(profile: &Profile, frame: &DecodedFrame) -> Result
 pub(super) struct Clip<'a> {
     profile: &'a Profile,
     dis: Dis,
+    network_flow: Option<NetworkFlow<'a>>,
+    learned: LearnedMeasures<'a>,
     recent: VecDeque<Rc<Prepared>>,
     usable_frames: u32,
     pairs: Vec<Pair>,
@@ -131,6 +163,8 @@ pub(super) struct Clip<'a> {
     peak: Option<Peak>,
     views: Views,
     faults: FaultSeries,
+    /// Behind e_t, where learned networks have found it.
+    tracked: Option<Vec<AdjustedEdge>>,
     pub(super) spent: Spent,
 }
 
@@ -144,10 +178,13 @@ struct Views {
 }
 
 impl<'a> Clip<'a> {
-    pub(super) fn new(profile: &'a Profile) -> Self {
+    pub(super) fn new(profile: &'a Profile, networks: Networks<'a>) -> Self {
+        let (learned, sea_raft) = LearnedMeasures::new(profile, networks);
         Self {
             profile,
             dis: Dis::new(profile.flow.clone()),
+            network_flow: sea_raft.map(NetworkFlow::new),
+            learned,
             recent: VecDeque::new(),
             usable_frames: 0,
             pairs: Vec::new(),
@@ -159,6 +196,7 @@ impl<'a> Clip<'a> {
             peak: None,
             views: Views::default(),
             faults: FaultSeries::default(),
+            tracked: None,
             spent: Spent::default(),
         }
     }
@@ -187,7 +225,11 @@ impl<'a> Clip<'a> {
 
     /// The edge behind the paper's heat map: of those that end at t*, the one of the largest mean residual.
     pub(super) fn take_worst_edge(&mut self, peak_frame: Option<u32>) -> Option<AdjustedEdge> {
-        self.geometry.take()?.worst_edge(peak_frame? as usize)
+        let frame = peak_frame? as usize;
+        match self.tracked.take() {
+            Some(edges) => worst_edge(edges.into_iter(), frame),
+            None => self.geometry.take()?.worst_edge(frame),
+        }
     }
 
     /// Takes the next frame and measures it against the frames before.
@@ -196,6 +238,7 @@ impl<'a> Clip<'a> {
             return Ok(());
         }
         self.usable_frames += 1;
+        self.learned.push(frame.index, &frame.rgb)?;
         let rgb = working_picture(self.profile, &frame)?;
         let video = (frame.rgb.width, frame.rgb.height);
         self.edges.sized(video, (rgb.width, rgb.height));
@@ -214,8 +257,7 @@ impl<'a> Clip<'a> {
             self.flow_work.pairs_in_full += 1;
             match &adjacent {
                 Some((edge, end_point)) if to - from == 1 => {
-                    let [there, back] = &*edge.flows;
-                    self.geometric(|edges| edges.measured(from, to, [there, back], end_point))?;
+                    self.geometric(|edges| edges.measured(from, to, &edge.flows, end_point))?;
                 }
                 _ => {
                     let adjacent = adjacent.as_ref().map(|(edge, _)| edge);
@@ -304,10 +346,9 @@ impl<'a> Clip<'a> {
     }
 
     /// An edge whose flows are not followed, for the motion models.
-    fn measured(&mut self, from: u32, to: u32, flows: &[Flow; 2]) -> Result<(), ClipError> {
+    fn measured(&mut self, from: u32, to: u32, flows: &PairFlows) -> Result<(), ClipError> {
         let end_point = self.end_point(to, flows)?;
-        let [there, back] = flows;
-        self.geometric(|edges| edges.measured(from, to, [there, back], &end_point))
+        self.geometric(|edges| edges.measured(from, to, flows, &end_point))
     }
 
     fn remember(&mut self, current: Rc<Prepared>) {
@@ -326,12 +367,17 @@ impl<'a> Clip<'a> {
                 index,
                 rgb,
                 dis: Rc::clone(&last.dis),
+                network: last.network.clone(),
                 normalised: Rc::clone(&last.normalised),
             }));
         }
         let grey = rgb.grey();
         let started = Instant::now();
         let dis = DisFrame::new(&grey, &self.profile.flow).map_err(at("flow", index))?;
+        let network = match &mut self.network_flow {
+            Some(network) => Some(Rc::new(network.prepare(index, &rgb)?)),
+            None => None,
+        };
         self.spent.flow += started.elapsed();
         let normalised = NormalisedFrame::new(&grey, &self.profile.consistency)
             .map_err(at("consistency", index))?;
@@ -339,29 +385,43 @@ impl<'a> Clip<'a> {
             index,
             rgb,
             dis: Rc::new(dis),
+            network,
             normalised: Rc::new(normalised),
         }))
     }
 
-    /// Forward and backward flow between two frames: zero, as the search would find, between one frame and itself.
+    /// Forward and backward flow between two frames: zero, as the search would find, between one frame and
+    /// itself.
     fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Flows, ClipError> {
-        if Rc::ptr_eq(&earlier.dis, &later.dis) {
+        let networks = earlier.network.as_ref().zip(later.network.as_ref());
+        if networks.is_none() && Rc::ptr_eq(&earlier.dis, &later.dis) {
             let still = Flow::still(earlier.rgb.width, earlier.rgb.height);
-            return Ok(Rc::new([still.clone(), still]));
+            return Ok(Rc::new(PairFlows::of([still.clone(), still])));
         }
         let started = Instant::now();
-        let error = at("flow", later.index);
-        let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
-        let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+        let flows =
+            if let (Some(network), Some((first, second))) = (&mut self.network_flow, networks) {
+                let (forward, ahead) = network.flow(later.index, first, second, &later.rgb)?;
+                let (backward, back) = network.flow(later.index, second, first, &later.rgb)?;
+                PairFlows {
+                    ways: [forward, backward],
+                    confidence: Some([ahead, back]),
+                }
+            } else {
+                let error = at("flow", later.index);
+                let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
+                let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+                PairFlows::of([forward, backward])
+            };
         self.flow_work.pairs += 1;
         self.spent.flow += started.elapsed();
-        Ok(Rc::new([forward, backward]))
+        Ok(Rc::new(flows))
     }
 
     /// The end-point error of the way there, earlier → later.
-    fn end_point(&mut self, to: u32, flows: &[Flow; 2]) -> Result<EndPointError, ClipError> {
+    fn end_point(&mut self, to: u32, flows: &PairFlows) -> Result<EndPointError, ClipError> {
         let started = Instant::now();
-        let [there, back] = flows;
+        let [there, back] = &flows.ways;
         let measured = EndPointError::new(there, back, &self.profile.consistency);
         self.spent.signals += started.elapsed();
         measured.map_err(at("consistency", to))
@@ -377,7 +437,7 @@ impl<'a> Clip<'a> {
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
-        let [ahead, back] = [0, 1].map(|k| GridFlow::new(&flows[k], params).map_err(&error));
+        let [ahead, back] = [0, 1].map(|k| GridFlow::new(&flows.ways[k], params).map_err(&error));
         let (first, second) = (&earlier.normalised, &later.normalised);
         let evidence = Evidence::new(&ahead?, &back?, first, second, params).map_err(&error);
         self.spent.signals += started.elapsed();
@@ -390,8 +450,8 @@ impl<'a> Clip<'a> {
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
-        let ahead = GridFlow::new(&flows[0], params).map_err(&error)?;
-        let back = GridFlow::new(&flows[1], params).map_err(&error)?;
+        let ahead = GridFlow::new(&flows.ways[0], params).map_err(&error)?;
+        let back = GridFlow::new(&flows.ways[1], params).map_err(&error)?;
         let evidence = |flow, other, first: &Prepared, second: &Prepared| {
             Evidence::new(flow, other, &first.normalised, &second.normalised, params)
                 .map_err(&error)
@@ -456,7 +516,7 @@ impl<'a> Clip<'a> {
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
-        let [forward, backward] = &*edge.flows;
+        let [forward, backward] = &edge.flows.ways;
         let worldscore = worldscore_epe(forward, backward).map_err(&error)?;
         let signals = PairSignals::new(
             &edge.change.forward,
@@ -552,7 +612,24 @@ impl<'a> Clip<'a> {
             fill::observed(&mut row, &observed);
             self.faults = observed.faults;
         }
+        let (learned, problem) = std::mem::take(&mut self.learned).finish();
+        self.spent.learned = learned.work;
+        fill::learned(&mut row, &learned, self.profile);
+        self.tracked = learned.residuals;
         (row.status, row.status_reason) = self.verdict();
+        if row.status == Status::Scored
+            && let Some(problem) = problem
+        {
+            row.status = problem.status();
+            row.status_reason = Some(problem.to_string());
+        }
+        if row.status == Status::Scored
+            && self.profile.droid.is_some()
+            && row.reproj_droid_px.is_none()
+        {
+            row.status = Status::Failed;
+            row.status_reason = Some("3D consistency: nothing lies before the camera".into());
+        }
         if row.status == Status::Scored && row.reproj_px.is_none() && row.aepe_px.is_none() {
             row.status = Status::Failed;
             row.status_reason = Some("no frame pair could be measured".into());

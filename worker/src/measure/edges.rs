@@ -20,15 +20,34 @@ use plumbline_vision::scene::{
 use plumbline_vision::slam::flow_operator::{grid_of, sample_chain, sample_flow};
 
 use super::clip::{ClipError, at};
-use super::geometry::{DenseGraph, DenseWork};
+use super::geometry::{DenseGraph, DenseWork, weigh};
+use super::network_flow::Confidence;
 use crate::profile::Profile;
 
 /// Weight of a correspondence whose forward and backward flow disagree utterly: not zero, since the
 /// models must not be chosen on the consistent part alone.
 const LEAST_WEIGHT: f64 = 1e-3;
 
-/// Forward and backward flow of a pair.
-pub(super) type Flows = Rc<[Flow; 2]>;
+/// The flows of a pair of frames.
+pub(super) struct PairFlows {
+    /// Forward and backward.
+    pub(super) ways: [Flow; 2],
+    /// How far the network that found them trusts each, where one did.
+    pub(super) confidence: Option<[Confidence; 2]>,
+}
+
+impl PairFlows {
+    /// Flows that no network found.
+    pub(super) fn of(ways: [Flow; 2]) -> Self {
+        Self {
+            ways,
+            confidence: None,
+        }
+    }
+}
+
+/// The flows of a pair, which longer edges follow.
+pub(super) type Flows = Rc<PairFlows>;
 
 /// The edges of one clip.
 pub(super) struct Edges<'a> {
@@ -74,14 +93,16 @@ impl<'a> Edges<'a> {
         self.chain.push_back(flows);
     }
 
-    /// An edge with flows of its own; each correspondence weighs by how well the two directions agree.
+    /// An edge with flows of its own; each correspondence weighs by how well the two directions agree, and in
+    /// the adjustment by how far a network trusts it, where one found it.
     pub(super) fn measured(
         &mut self,
         from: u32,
         to: u32,
-        [forward, backward]: [&Flow; 2],
+        flows: &PairFlows,
         end_point: &EndPointError,
     ) -> Result<(), ClipError> {
+        let [forward, backward] = &flows.ways;
         let (width, height) = (forward.width, forward.height);
         let unit_px = self.profile.consistency.reference_height_px / height as f64;
         let weight_at = |x: usize, y: usize| {
@@ -91,11 +112,15 @@ impl<'a> Edges<'a> {
         let grid = &self.profile.grid;
         let field = sample_grid(forward, unit_px, grid, weight_at).map_err(at("geometry", to))?;
         self.judge(from, to, field)?;
+        let size = grid_of(width, height, grid.step);
         let answers = || {
             let there = sample_flow(forward, backward, grid.step)?;
-            Ok([there, sample_flow(backward, forward, grid.step)?])
+            let mut answers = [there, sample_flow(backward, forward, grid.step)?];
+            for (answer, confidence) in answers.iter_mut().zip(flows.confidence.iter().flatten()) {
+                weigh(answer, confidence, size, grid.step);
+            }
+            Ok(answers)
         };
-        let size = grid_of(width, height, grid.step);
         let added = self.dense.edge(from, to, size, answers);
         added.map_err(at("geometry", to))
     }
@@ -106,8 +131,8 @@ impl<'a> Edges<'a> {
         let step = self.profile.grid.step;
         let pairs = (to - from) as usize;
         let chain: Vec<Flows> = self.chain.iter().rev().take(pairs).rev().cloned().collect();
-        let there: Vec<&Flow> = chain.iter().map(|flows| &flows[0]).collect();
-        let back: Vec<&Flow> = chain.iter().rev().map(|flows| &flows[1]).collect();
+        let there: Vec<&Flow> = chain.iter().map(|flows| &flows.ways[0]).collect();
+        let back: Vec<&Flow> = chain.iter().rev().map(|flows| &flows.ways[1]).collect();
         let forward = sample_chain(&there, &back, step).map_err(&error)?;
         let (width, height) = there.first().map_or((0, 0), |f| (f.width, f.height));
         let grid = grid_of(width, height, step);

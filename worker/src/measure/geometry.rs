@@ -15,6 +15,7 @@ use plumbline_vision::slam::tracker::{
     EdgeResidual, FlowEdge, FlowGraph, MOST_CELLS, Solution, TrackError, solve,
 };
 
+use super::network_flow::Confidence;
 use crate::profile::Profile;
 
 /// A clip's correspondences while it streams by.
@@ -133,6 +134,16 @@ impl DenseGraph {
                 Ok((solver.finish()?, saved))
             }
         }
+    }
+}
+
+/// Multiplies weights by the confidence at their cells.
+pub(super) fn weigh(answer: &mut GridAnswer, confidence: &Confidence, grid: Grid, step: usize) {
+    for (n, weight) in answer.weight.iter_mut().enumerate() {
+        let cell = n % grid.cells();
+        let x = step / 2 + cell % grid.columns * step;
+        let y = step / 2 + cell / grid.columns * step;
+        *weight *= confidence.data[y * confidence.width + x];
     }
 }
 
@@ -266,6 +277,29 @@ mod tests {
         assert_eq!(work.depth_cells, 6 * 1024);
         // Nothing moves, so that nothing is left by any model.
         assert!(forced.residual_px < 1e-3, "{}", forced.residual_px);
+    }
+
+    /// Cells 4 px apart, the first at 2.
+    #[test]
+    fn confidence_is_read_at_the_cells() {
+        let grid = grid_of(16, 12, 4);
+        let mut answer = GridAnswer {
+            at: vec![0.0; 2 * grid.cells()],
+            weight: vec![0.5; 2 * grid.cells()],
+        };
+        let confidence = Confidence {
+            width: 16,
+            height: 12,
+            data: (0..16 * 12).map(|n| n as f32).collect(),
+        };
+        weigh(&mut answer, &confidence, grid, 4);
+        let (columns, cells) = (grid.columns, grid.cells());
+        let expected =
+            |cell: usize| 0.5 * ((2 + cell / columns * 4) * 16 + 2 + cell % columns * 4) as f32;
+        for cell in 0..cells {
+            assert_eq!(answer.weight[cell], expected(cell));
+            assert_eq!(answer.weight[cells + cell], expected(cell));
+        }
     }
 
     #[test]

@@ -43,6 +43,8 @@ pub(crate) enum ReadError {
         "the job's profile does not decode: {0}; coordinator and worker must be of one version"
     )]
     Profile(serde_json::Error),
+    #[error("{0}")]
+    Models(String),
 }
 
 impl Input {
