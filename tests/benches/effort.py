@@ -2,8 +2,8 @@
 
     effort.py DIR
 
-DIR holds `<profile>.jsonl` as `worker/examples/effort.rs` prints them: of each clip a line in full, then one as the
-profile has it.
+DIR holds `<profile>.jsonl` as `worker/examples/effort.rs` prints them: of each clip a line in full, then one with
+the flow followed.
 """
 
 import json
@@ -12,14 +12,14 @@ from collections import defaultdict
 from pathlib import Path
 from statistics import mean
 
-FULL = {"follow_flow": False}
+FULL = {}
 STAGES = ["decode_s", "flow_s", "signals_s", "geometry_s"]
 # What decides about a clip, other than its score.
 DECISIONS = ["status", "scene", "fault_frames", "fault_kinds", "peak_frame"]
 
 
 def pairs(path):
-    """(clip, in full, as the profile has it)."""
+    """(clip, in full, with the flow followed)."""
     lines = [json.loads(line) for line in path.read_text().splitlines()]
     for full, some in zip(lines[::2], lines[1::2], strict=True):
         assert full["clip"] == some["clip"] and json.loads(full["knobs"]) == FULL
@@ -30,7 +30,7 @@ def main():
     profiles = [p for p in ("draft", "standard", "accurate") if (Path(sys.argv[1]) / f"{p}.jsonl").exists()]
     measured = {p: list(pairs(Path(sys.argv[1]) / f"{p}.jsonl")) for p in profiles}
     print("\n## Rendered clips of 60 frames, 256×256: CPU seconds by camera\n")
-    print("| profile | camera | in full | as it is | share of parallax | flow pairs | not searched |")
+    print("| profile | camera | in full | followed | share of parallax | flow pairs | not searched |")
     print("|---|---|---|---|---|---|---|")
     for profile, clips in measured.items():
         groups = defaultdict(list)
@@ -45,7 +45,7 @@ def main():
             share = seconds[camera] / seconds["parallax"]
             print(f"| {profile} | {camera} | {full:.3f} | {seconds[camera]:.3f} | {share:.0%} | {count('flow_pairs')} | {count('flow_pairs_saved')} |")
     print("\n## All clips: cost and agreement with the full measurement\n")
-    print("| profile | scene | clips | in full, s | as it is, s | saved | decode, flow, signals, geometry | decisions that differ | reproj_px: largest change | mean change |")
+    print("| profile | scene | clips | in full, s | followed, s | saved | decode, flow, signals, geometry | decisions that differ | reproj_px: largest change | mean change |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for profile, clips in measured.items():
         groups = defaultdict(list)

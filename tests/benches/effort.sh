@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What a standing, a turning and a travelling camera cost, with the work that is left out and in full; whether the
+# What a standing, a turning and a travelling camera cost, in full and with the flow followed; whether the
 # rows agree; `--jobs` 1 against 2; and where the instructions go. Writes a dated table to tests/benches/results/.
 #
 #   effort.sh [DATA] [CLIPS=20] [ROUNDS=2]
@@ -27,7 +27,7 @@ if [ -n "$data" ]; then
         awk -v n="$count" '{ a[NR] = $0 } END { for (i = 0; i < n; i++) print a[int(i * NR / n) + 1] }')
 fi
 for profile in draft standard accurate; do
-    "$effort" "$rounds" "$profile" '{"follow_flow":false}' '{}' -- "$work"/cameras/videos/*.mp4 "${recorded[@]}" \
+    "$effort" "$rounds" "$profile" '{}' '{"follow_flow":true}' -- "$work"/cameras/videos/*.mp4 "${recorded[@]}" \
         >"$work/$profile.jsonl"
 done
 
@@ -69,7 +69,7 @@ notes=$(sed -n '/^## Notes/,$p' "$result" 2>/dev/null || true)
     echo
     echo "- machine: $(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -n 1), $(nproc --all) cores, load $(cut -d' ' -f1 /proc/loadavg)"
     echo "- commit $(git rev-parse --short HEAD)$(git diff --quiet HEAD -- worker common || echo ' with changes'), $(rustc --version)"
-    echo "- command: \`tests/benches/effort.sh ${data:+DATA }$count $rounds\`; CPU seconds of one measurement, the least of $rounds rounds, in full (\`follow_flow = false\`) and as the profile has it alternating clip by clip"
+    echo "- command: \`tests/benches/effort.sh ${data:+DATA }$count $rounds\`; CPU seconds of one measurement, the least of $rounds rounds, as the profile has it and with \`follow_flow = true\`, alternating clip by clip"
     python3 tests/benches/effort.py "$work"
     echo
     echo "## \`--jobs\`"

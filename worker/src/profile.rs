@@ -147,7 +147,9 @@ pub struct Profile {
     /// Frame distances of the edges that geometry looks at, ascending; 1 is always measured.
     pub edge_spans: Vec<u32>,
     /// Follow the flow between frames further apart from frame to frame, unless depth is estimated, and search for
-    /// the one across a frame only where that frame may be bad enough to be reported.
+    /// the one across a frame only where that frame may be bad enough to be reported. Off in every rung: on some clips it raises `reproj_px`
+    /// by three tenths (`tests/benches/results/effort-2026-11-26.md`), everything but the residuals staying
+    /// the same to the bit.
     pub follow_flow: bool,
     /// Grid of the geometric measure.
     pub grid: GridParams,
@@ -254,7 +256,7 @@ impl Profile {
             fault_thresholds,
             contact: ContactParams::default(),
             edge_spans,
-            follow_flow: true,
+            follow_flow: false,
             // The grid of dense bundle adjustment at 256 px; the same points at every rung.
             grid: GridParams {
                 step: working_height_px as usize / 32,

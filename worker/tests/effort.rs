@@ -1,5 +1,6 @@
-//! What is left out changes no answer: clips of a standing, a turning and a travelling camera, measured in full
-//! and with the flow between frames further apart followed from frame to frame.
+//! Clips of a standing, a turning and a travelling camera, measured in full and with the flow between frames further
+//! apart followed from frame to frame: all but the geometric residuals stay the same to the bit, and under parallax
+//! those too.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,8 +21,9 @@ use plumbline_worker::encode::Mp4Writer;
 use plumbline_worker::measure::measure;
 use plumbline_worker::profile::{Profile, Rung};
 
-/// Largest change of `reproj_px`, as a share of it: up to `tests/benches/effort.sh`'s largest on recorded clips.
-const MOST_CHANGE: f64 = 0.1;
+/// Largest change of `reproj_px`, as a share of it. It is large, which is why no rung follows the flow: up to 0.30 was
+/// seen on recorded clips and 0.28 on rendered ones.
+const MOST_CHANGE: f64 = 0.5;
 
 fn measured(path: &Path, profile: &Profile) -> Outcome {
     let metadata = std::fs::metadata(path).unwrap();
@@ -64,16 +66,16 @@ fn without_geometry(mut row: Measurement) -> Measurement {
 #[test]
 fn followed_flow_gives_the_scene_of_measured_flow_and_parallax_all_its_numbers() {
     let directory = tempfile::tempdir().unwrap();
-    let full = Profile {
-        follow_flow: false,
-        ..Profile::new(Rung::Standard)
+    let full = Profile::new(Rung::Standard);
+    let following = Profile {
+        follow_flow: true,
+        ..full.clone()
     };
     for clip in camera_corpus(0).into_iter().filter(|clip| clip.pair == 0) {
         let clip = ClipSpec { frames: 24, ..clip };
         let path = directory.path().join(format!("{}.mp4", clip.name));
         write(&clip, &path);
-        let [full, followed] =
-            [&full, &Profile::new(Rung::Standard)].map(|profile| measured(&path, profile));
+        let [full, followed] = [&full, &following].map(|profile| measured(&path, profile));
         let scene = match clip.name.split("__").next() {
             Some("static") => Scene::StaticCamera,
             Some("rotation") => Scene::Rotation,

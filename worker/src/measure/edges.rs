@@ -1,12 +1,10 @@
 //! A clip's edges while its frames stream by: the motion models of each, and what dense adjustment will need.
 //!
 //! Adjacent frames have flows of their own. Between frames further apart the flow is followed from frame to
-//! frame on the grid ([`EffortParams::follow_flow`]): a few look-ups per cell in the place of two searches over
+//! frame on the grid ([`Profile::follow_flow`]): a few look-ups per cell in the place of two searches over
 //! the picture. A camera that stands or turns is told from one that travels as well by these; under parallax,
 //! where depth is estimated from the longer baselines, the clip is looked at a second time, and they get flows
 //! of their own.
-//!
-//! [`EffortParams::follow_flow`]: crate::profile::EffortParams::follow_flow
 
 use std::collections::VecDeque;
 use std::rc::Rc;
