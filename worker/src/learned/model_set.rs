@@ -154,10 +154,8 @@ impl ModelSet {
     /// # Errors
     /// [`ModelError::Damaged`].
     pub fn verify(&self) -> Result<(), ModelError> {
-        let graphs = self.sidecar.graphs.values();
-        graphs
-            .map(|graph| self.read_graph(graph).map(drop))
-            .collect()
+        let mut graphs = self.sidecar.graphs.values();
+        graphs.try_for_each(|graph| self.read_graph(graph).map(drop))
     }
 
     /// SEA-RAFT as WorldScore uses it: at half resolution, with the size's own number of iterations.
