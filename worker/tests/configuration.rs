@@ -187,7 +187,11 @@ fn page() -> String {
          `plumbline profile show NAME` prints a file of them, `--profile FILE.toml` uses one: it names the rung it starts \
          from (`rung`) and what it changes. A bar means not set.\n\n",
     );
-    let ladder = Rung::ALL.map(|rung| serde_json::to_value(Profile::new(rung)).unwrap());
+    // By way of the canonical text, which has the shortest form of every number.
+    let ladder = Rung::ALL.map(|rung| {
+        let text = Profile::new(rung).canonical().unwrap();
+        serde_json::from_slice::<Value>(&text).unwrap()
+    });
     let names = Rung::ALL.map(|rung| format!("`{}`", rung.as_str()));
     writeln!(page, "| knob | {} | meaning |", names.join(" | ")).unwrap();
     writeln!(page, "|---|{}---|", "---|".repeat(names.len())).unwrap();
