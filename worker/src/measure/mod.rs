@@ -99,7 +99,7 @@ pub(crate) fn measure_in_detail(
                 Err(refused) => refused.row(),
             };
             row.digest = Some(input.digest.clone());
-            row.bytes = Some(job.bytes);
+            row.bytes = Some(job.bytes_read());
             row
         }
         Err(error) => error.row(job),
@@ -189,10 +189,11 @@ impl ReadError {
     pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
+            Self::Outside { .. } => Status::Undecodable,
             Self::Changed { .. } | Self::NotRead { .. } | Self::Profile(_) => Status::Failed,
         };
         let mut row = Measurement::without_score(status, self.to_string());
-        row.bytes = Some(job.bytes);
+        row.bytes = Some(job.bytes_read());
         row
     }
 }
