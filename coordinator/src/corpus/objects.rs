@@ -1,19 +1,22 @@
 //! Videos in object stores: what lies below `s3://bucket/prefix`, and the objects that lists name.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
 use async_trait::async_trait;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use plumbline_common::id::VideoId;
-use plumbline_common::message::{Location, ObjectLocation};
+use plumbline_common::message::ObjectLocation;
 use plumbline_common::store::{
     self, Access, ObjectKey, ObjectMeta, ObjectStore, S3Options, StoreError,
 };
 use serde_json::{Map, Value};
+use tokio::runtime::Handle;
+use tokio::task::spawn_blocking;
 
-use super::files::is_video_name;
+use super::dataset::{self, Datasets, Marks, ObjectTree, Placed, place_missing, place_object};
+use super::files::{ignore, is_video_name};
 use super::{CorpusError, Entry, Ignored, list};
 
 /// Objects of a list looked up at once: enough to hide the way to the store, few enough for any store.
@@ -103,48 +106,24 @@ impl std::fmt::Display for Address {
     }
 }
 
-/// An object in the version that was listed.
+/// A video found in a store, before it has a name.
 #[derive(Debug)]
-pub(super) struct ObjectLocationAndSize {
-    location: ObjectLocation,
-    bytes: u64,
+pub(super) struct FoundObject {
+    /// Its address; of one in a dataset the address that it would have as an object, from which it is named.
+    address: String,
+    placed: Placed,
+    carried: Map<String, Value>,
 }
 
-impl ObjectLocationAndSize {
-    fn new(bucket: &str, meta: ObjectMeta) -> Self {
-        Self {
-            bytes: meta.bytes,
-            location: ObjectLocation {
-                bucket: bucket.to_owned(),
-                key: meta.key.to_string(),
-                etag: meta.etag,
-                modified_s: meta.modified_s,
-            },
-        }
-    }
-
+impl FoundObject {
     /// Named by what follows `root`.
     pub(super) fn into_entry(self, root: &str) -> Result<Entry, CorpusError> {
-        let address = self.location.to_string();
-        let name = address.strip_prefix(root).unwrap_or(&address);
+        let name = self.address.strip_prefix(root).unwrap_or(&self.address);
         let video = VideoId::new(name).map_err(|error| CorpusError::List {
-            path: address.clone(),
+            path: self.address.clone(),
             reason: error.to_string(),
         })?;
-        Ok(self.named(video, Map::new()))
-    }
-
-    fn named(self, video: VideoId, carried: Map<String, Value>) -> Entry {
-        let modified_s = self.location.modified_s.unwrap_or_default();
-        Entry {
-            video,
-            bytes: Some(self.bytes),
-            modified_ns: Some(i128::from(modified_s) * 1_000_000_000),
-            location: Location::Object(self.location),
-            problem: None,
-            group: None,
-            carried,
-        }
+        Ok(self.placed.into_entry(video, self.carried))
     }
 }
 
@@ -160,7 +139,9 @@ pub(super) enum Looked {
 pub(super) struct Below {
     /// The prefix.
     pub(super) root: Address,
-    pub(super) objects: Vec<ObjectLocationAndSize>,
+    pub(super) objects: Vec<FoundObject>,
+    /// Addresses of the LeRobot datasets among them.
+    pub(super) lerobot: Vec<String>,
     pub(super) ignored: Ignored,
 }
 
@@ -185,33 +166,39 @@ pub(super) async fn look(
 ) -> Result<Looked, CorpusError> {
     let store = stores.get(&address.bucket).await?;
     if let Some(meta) = single(address, store.as_ref()).await? {
+        if dataset::is_compressed_shard(Path::new(&address.key)) {
+            return Err(CorpusError::Compressed {
+                shard: address.to_string(),
+            });
+        }
         if list::is_list(Path::new(&address.key)) {
             return Ok(Looked::Lines(
                 read_list(address, &meta, store.as_ref()).await?,
             ));
         }
-        return Ok(Looked::Objects(Below {
-            root: Address {
-                bucket: address.bucket.clone(),
-                key: address.parent().to_owned(),
-            },
-            objects: vec![ObjectLocationAndSize::new(&address.bucket, meta)],
-            ignored: Ignored::new(),
-        }));
+        let parent = Address {
+            bucket: address.bucket.clone(),
+            key: address.parent().to_owned(),
+        };
+        let name = address
+            .key
+            .strip_prefix(&parent.key)
+            .unwrap_or_default()
+            .to_owned();
+        let one = BTreeMap::from([(name, meta)]);
+        return Ok(Looked::Objects(sorted_out(parent, store, one, true).await?));
     }
     let prefix = address.as_prefix();
     let out = Address::parse(out).filter(|out| out.bucket == address.bucket);
     // Of OUT only what is a part of the source; where it is the whole, nothing can be told apart.
     let out = out.map(|out| out.as_prefix());
     let out = out.filter(|out| out.len() > prefix.len());
-    let mut below = Below {
-        root: Address {
-            bucket: address.bucket.clone(),
-            key: prefix.clone(),
-        },
-        objects: Vec::new(),
-        ignored: Ignored::new(),
+    let root = Address {
+        bucket: address.bucket.clone(),
+        key: prefix.clone(),
     };
+    let mut ignored = Ignored::new();
+    let mut listed = BTreeMap::new();
     let mut pages = store.list(&prefix);
     while let Some(page) = pages.try_next().await? {
         for meta in page {
@@ -223,17 +210,93 @@ pub(super) async fn look(
             if is_folder_mark || is_hidden || in_out {
                 continue;
             }
-            if is_video_name(Path::new(name)) {
-                let object = ObjectLocationAndSize::new(&address.bucket, meta);
-                below.objects.push(object);
+            if is_looked_at(name) {
+                listed.insert(name.to_owned(), meta);
             } else {
-                let extension = Path::new(name).extension().unwrap_or_default();
-                let extension = extension.to_string_lossy().into_owned();
-                *below.ignored.entry(extension).or_default() += 1;
+                ignore(&mut ignored, Path::new(name));
             }
         }
     }
+    let mut below = sorted_out(root, store, listed, false).await?;
+    for (extension, count) in ignored {
+        *below.ignored.entry(extension).or_default() += count;
+    }
     Ok(Looked::Objects(below))
+}
+
+/// Whether an object's name says that it is a video or of a dataset: others need not be remembered.
+fn is_looked_at(name: &str) -> bool {
+    is_video_name(Path::new(name))
+        || Marks::default().note(name)
+        || name.starts_with("meta/")
+        || name.contains("/meta/")
+}
+
+/// The videos among listed objects, those of datasets among them; `named` ones count whatever their extension.
+async fn sorted_out(
+    root: Address,
+    store: Arc<dyn ObjectStore>,
+    listed: BTreeMap<String, ObjectMeta>,
+    named: bool,
+) -> Result<Below, CorpusError> {
+    let mut marks = Marks::default();
+    let marked: BTreeSet<String> = listed
+        .keys()
+        .filter(|name| marks.note(name))
+        .cloned()
+        .collect();
+    let tree = ObjectTree {
+        store,
+        bucket: root.bucket.clone(),
+        prefix: root.key.clone(),
+        listed,
+        runtime: Handle::current(),
+    };
+    let (tree, datasets) = if marks.is_empty() {
+        (tree, Datasets::default())
+    } else {
+        let reading = spawn_blocking(move || {
+            let datasets = dataset::read(&tree, &marks)?;
+            Ok::<_, CorpusError>((tree, datasets))
+        });
+        reading.await.map_err(|error| CorpusError::List {
+            path: root.to_string(),
+            reason: format!("was not read to its end ({error}); run again"),
+        })??
+    };
+    let mut below = Below {
+        objects: Vec::new(),
+        lerobot: datasets
+            .whole
+            .iter()
+            .map(|directory| format!("{root}{directory}"))
+            .collect(),
+        ignored: Ignored::new(),
+        root,
+    };
+    for (name, meta) in tree.listed {
+        if datasets.owns(&name) {
+            continue;
+        }
+        let path = Path::new(&name);
+        if is_video_name(path) || named && !marked.contains(&name) {
+            below.objects.push(FoundObject {
+                address: format!("{}{name}", below.root),
+                placed: place_object(&below.root.bucket, meta),
+                carried: Map::new(),
+            });
+        } else {
+            ignore(&mut below.ignored, path);
+        }
+    }
+    below
+        .objects
+        .extend(datasets.samples.into_iter().map(|sample| FoundObject {
+            address: format!("{}{}", below.root, sample.name),
+            placed: sample.placed,
+            carried: sample.carried,
+        }));
+    Ok(below)
 }
 
 /// The object of exactly this name, if there is one: the first that a listing gives. Not asked for by name,
@@ -324,34 +387,23 @@ async fn look_up_one(line: &ObjectLine, store: &dyn ObjectStore) -> Result<Entry
         path: line.list.clone(),
         reason: error.to_string(),
     })?;
-    let carried = line.carried.clone();
     let found = match ObjectKey::new(line.address.key.as_str()) {
         Ok(key) => store.head(&key).await,
         Err(no_key) => Err(no_key.into()),
     };
-    let problem = match found {
-        Ok(meta) => {
-            let object = ObjectLocationAndSize::new(&line.address.bucket, meta);
-            return Ok(object.named(video, carried));
+    let placed = match found {
+        Ok(meta) => place_object(&line.address.bucket, meta),
+        Err(error) => {
+            let object = ObjectLocation {
+                bucket: line.address.bucket.clone(),
+                key: line.address.key.clone(),
+                etag: None,
+                modified_s: None,
+            };
+            place_missing(object, error)?
         }
-        Err(StoreError::NotFound { .. }) => "there is no such object".to_owned(),
-        Err(error @ (StoreError::Denied { .. } | StoreError::Key(_))) => error.to_string(),
-        Err(error) => return Err(error.into()),
     };
-    Ok(Entry {
-        video,
-        location: Location::Object(ObjectLocation {
-            bucket: line.address.bucket.clone(),
-            key: line.address.key.clone(),
-            etag: None,
-            modified_s: None,
-        }),
-        bytes: None,
-        modified_ns: None,
-        problem: Some(problem),
-        group: None,
-        carried,
-    })
+    Ok(placed.into_entry(video, line.carried.clone()))
 }
 
 /// The longest address ending with a slash that all of these begin with.

@@ -1,20 +1,21 @@
 //! From what was typed to the frozen list: directories, globs, single videos and lists.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use plumbline_common::id::VideoId;
-use plumbline_common::message::Location;
-use serde_json::Map;
+use plumbline_common::message::{Location, PartLocation, Whole};
+use serde_json::Value;
 
+use super::dataset::{self, CAMERA, DirTree, Marks, place_file};
 use super::files::{
-    Found, VIDEO_EXTENSIONS, absolute, common_parent, expand_glob, relative_name, stat, walk,
+    Found, VIDEO_EXTENSIONS, Walked, absolute, common_parent, expand_glob, ignore, relative_name,
+    stat, walk,
 };
-use super::objects::{
-    self, Address, Buckets, Looked, ObjectLine, ObjectLocationAndSize, OpenStores,
-};
+use super::objects::{self, Address, Buckets, FoundObject, Looked, ObjectLine, OpenStores};
+use super::pattern::expanded;
 use super::{CorpusError, Entry, GroupBy, Ignored, camera, list};
 
 /// A frozen corpus and what was passed over on the way.
@@ -26,31 +27,41 @@ pub struct Listing {
     pub ignored: Ignored,
 }
 
+/// What is asked of a corpus beside its sources.
+#[derive(Debug, Clone, Default)]
+pub struct Choice {
+    /// How videos are grouped.
+    pub group_by: Option<GroupBy>,
+    /// The cameras whose videos are taken (the column `camera`); all where none is named.
+    pub cameras: Vec<String>,
+}
+
 /// Freezes what the sources name, files alone. `out` is left out of every walk.
 ///
 /// # Errors
 /// [`CorpusError`]: what makes the list wrong, before any work; `ObjectStore` for a source or a listed
 /// video in an object store (see [`freeze_anywhere`]).
-pub fn freeze(
-    sources: &[String],
-    group_by: Option<&GroupBy>,
-    out: &Path,
-) -> Result<Listing, CorpusError> {
+pub fn freeze(sources: &[String], choice: &Choice, out: &Path) -> Result<Listing, CorpusError> {
     let mut freezing = Freezing::without(out);
-    for source in sources {
+    for source in all_expanded(sources)? {
         if source.contains("://") {
             return Err(CorpusError::ObjectStore {
-                source_text: source.clone(),
+                source_text: source,
             });
         }
-        freezing.look_at_files(source)?;
+        freezing.look_at_files(&source)?;
     }
     if let Some(line) = freezing.object_lines.first() {
         return Err(CorpusError::ObjectStore {
             source_text: line.address.to_string(),
         });
     }
-    freezing.finish(sources, group_by)
+    freezing.finish(sources, choice)
+}
+
+fn all_expanded(sources: &[String]) -> Result<Vec<String>, CorpusError> {
+    let expanded: Result<Vec<_>, _> = sources.iter().map(|source| expanded(source)).collect();
+    Ok(expanded?.concat())
 }
 
 /// Freezes what the sources name, files and objects. `out`, a directory or an `s3://` address, is left
@@ -60,36 +71,37 @@ pub fn freeze(
 /// [`CorpusError`]: what makes the list wrong, before any work.
 pub async fn freeze_anywhere(
     sources: &[String],
-    group_by: Option<&GroupBy>,
+    choice: &Choice,
     out: &str,
     buckets: &dyn Buckets,
 ) -> Result<Listing, CorpusError> {
     let mut freezing = Freezing::without(Path::new(out));
     let mut stores = OpenStores::of(buckets);
-    for source in sources {
-        match (Address::parse(source), source.contains("://")) {
+    for source in all_expanded(sources)? {
+        match (Address::parse(&source), source.contains("://")) {
             (Some(address), _) => match objects::look(&address, out, &mut stores).await? {
                 Looked::Objects(below) => {
                     for (extension, count) in below.ignored {
                         *freezing.ignored.entry(extension).or_default() += count;
                     }
+                    freezing.lerobot.extend(below.lerobot);
                     freezing.listed.push((below.root, below.objects));
                 }
                 Looked::Lines(lines) => freezing.object_lines.extend(lines),
             },
             (None, true) => {
                 return Err(CorpusError::UnknownStore {
-                    source_text: source.clone(),
+                    source_text: source,
                 });
             }
-            (None, false) => freezing.look_at_files(source)?,
+            (None, false) => freezing.look_at_files(&source)?,
         }
     }
     let lines = std::mem::take(&mut freezing.object_lines);
     for (line, entry) in objects::look_up(lines, &mut stores).await? {
         freezing.add_line(&line.list, entry)?;
     }
-    freezing.finish(sources, group_by)
+    freezing.finish(sources, choice)
 }
 
 /// What was found so far.
@@ -99,7 +111,9 @@ struct Freezing {
     /// Files found in walks, and the directories walked.
     walked: Vec<(PathBuf, Vec<Found>)>,
     /// Objects found in listings, and the addresses listed.
-    listed: Vec<(Address, Vec<ObjectLocationAndSize>)>,
+    listed: Vec<(Address, Vec<FoundObject>)>,
+    /// The LeRobot datasets among all of them.
+    lerobot: Vec<String>,
     /// What lists name has its name already...
     named: BTreeMap<VideoId, Entry>,
     /// ...but objects were not looked up yet.
@@ -113,6 +127,7 @@ impl Freezing {
             ignored: Ignored::new(),
             walked: Vec::new(),
             listed: Vec::new(),
+            lerobot: Vec::new(),
             named: BTreeMap::new(),
             object_lines: Vec::new(),
         }
@@ -123,27 +138,70 @@ impl Freezing {
         let out = self.out.as_deref();
         if path.is_dir() {
             let root = absolute(path);
-            let found = walk(&root, out, &mut self.ignored)?;
-            self.walked.push((root, found));
+            let Walked { found, others } = walk(&root, out)?;
+            self.take_walked(root, found, others)?;
         } else if path.is_file() && list::is_list(path) {
             self.add_list(&absolute(path))?;
         } else if path.symlink_metadata().is_ok() {
+            if dataset::is_compressed_shard(path) {
+                return Err(CorpusError::Compressed {
+                    shard: source.to_owned(),
+                });
+            }
             let file = absolute(path);
             let root = file.parent().map(Path::to_path_buf).unwrap_or_default();
-            self.walked.push((
-                root,
-                vec![Found {
-                    path: file,
-                    is_sequence: false,
-                }],
-            ));
-        } else if source.contains(['*', '?', '[']) {
-            self.walked.push(expand_glob(source, out)?);
+            self.take_named(root, vec![Found::at(file, false)])?;
+        } else if source.contains(['*', '?', '[', '{']) {
+            let (root, found) = expand_glob(source, out)?;
+            self.take_named(root, found)?;
         } else {
             return Err(CorpusError::NoSuchSource {
                 source_text: source.to_owned(),
             });
         }
+        Ok(())
+    }
+
+    /// Takes files that were named, whatever their extension; shards among them are opened.
+    fn take_named(&mut self, root: PathBuf, found: Vec<Found>) -> Result<(), CorpusError> {
+        let is_shard = |found: &Found| !found.is_sequence && dataset::is_shard(&found.path);
+        let (shards, videos): (Vec<_>, Vec<_>) = found.into_iter().partition(is_shard);
+        let shards = shards.into_iter().map(|found| found.path).collect();
+        self.take_walked(root, videos, shards)
+    }
+
+    /// Takes videos, and those of the datasets that `others` are of.
+    fn take_walked(
+        &mut self,
+        root: PathBuf,
+        mut found: Vec<Found>,
+        others: Vec<PathBuf>,
+    ) -> Result<(), CorpusError> {
+        // A dataset's files have names in UTF-8.
+        let name = |path: &Path| path.strip_prefix(&root).ok()?.to_str().map(str::to_owned);
+        let mut marks = Marks::default();
+        for other in &others {
+            if let Some(name) = name(other) {
+                marks.note(&name);
+            }
+        }
+        let datasets = dataset::read(&DirTree { root: &root }, &marks)?;
+        let owned = |path: &Path| name(path).is_some_and(|name| datasets.owns(&name));
+        for other in others.iter().filter(|other| !owned(other)) {
+            ignore(&mut self.ignored, other);
+        }
+        found.retain(|found| !owned(&found.path));
+        for directory in &datasets.whole {
+            self.lerobot
+                .push(root.join(directory).display().to_string());
+        }
+        found.extend(datasets.samples.into_iter().map(|sample| Found {
+            path: root.join(sample.name),
+            is_sequence: false,
+            carried: sample.carried,
+            placed: Some(sample.placed),
+        }));
+        self.walked.push((root, found));
         Ok(())
     }
 
@@ -168,12 +226,12 @@ impl Freezing {
             let file = directory.join(&line.video);
             let is_sequence = file.is_dir();
             let found = Found {
-                path: file,
-                is_sequence,
+                carried: line.carried,
+                ..Found::at(file, is_sequence)
             };
             let name = list::name_of(&line.video);
             let video = VideoId::new(name).map_err(|error| list_error(&list, error.to_string()))?;
-            self.add_line(&list, stat(video, found, line.carried))?;
+            self.add_line(&list, stat(video, found))?;
         }
         Ok(())
     }
@@ -190,18 +248,20 @@ impl Freezing {
         add(&mut self.named, entry)
     }
 
-    fn finish(
-        mut self,
-        sources: &[String],
-        group_by: Option<&GroupBy>,
-    ) -> Result<Listing, CorpusError> {
+    fn finish(mut self, sources: &[String], choice: &Choice) -> Result<Listing, CorpusError> {
+        if let [first, second, ..] = &self.lerobot[..] {
+            return Err(CorpusError::SeveralDatasets {
+                first: first.clone(),
+                second: second.clone(),
+            });
+        }
         let root = common_parent(self.walked.iter().map(|(root, _)| root.as_path()));
         for found in self.walked.into_iter().flat_map(|(_, found)| found) {
             let name = relative_name(&found.path, &root);
             let video = VideoId::new(name).map_err(|error| {
                 list_error(&found.path.display().to_string(), error.to_string())
             })?;
-            add(&mut self.named, stat(video, found, Map::new()))?;
+            add(&mut self.named, stat(video, found))?;
         }
         let root = objects::common_parent(self.listed.iter().map(|(root, _)| root));
         for object in self.listed.into_iter().flat_map(|(_, objects)| objects) {
@@ -211,15 +271,60 @@ impl Freezing {
             return Err(empty(sources));
         }
         let mut entries: Vec<Entry> = self.named.into_values().collect();
-        if let Some(rule) = group_by {
-            for entry in &mut entries {
-                entry.group = rule.group(&entry.video, &entry.carried)?;
-            }
+        choose_cameras(&mut entries, &choice.cameras)?;
+        if let Some(rule) = &choice.group_by {
+            group(&mut entries, rule)?;
         }
         Ok(Listing {
             entries,
             ignored: self.ignored,
         })
+    }
+}
+
+/// Leaves the videos of the named cameras, each of which must be there.
+fn choose_cameras(entries: &mut Vec<Entry>, cameras: &[String]) -> Result<(), CorpusError> {
+    if cameras.is_empty() {
+        return Ok(());
+    }
+    let camera = |entry: &Entry| {
+        entry
+            .carried
+            .get(CAMERA)
+            .and_then(Value::as_str)
+            .map(str::to_owned)
+    };
+    let known: BTreeSet<String> = entries.iter().filter_map(camera).collect();
+    if let Some(unknown) = cameras.iter().find(|&camera| !known.contains(camera)) {
+        return Err(CorpusError::UnknownCamera {
+            camera: unknown.clone(),
+            known: match known.is_empty() {
+                true => "no column camera (LeRobot datasets do, and lists may)".to_owned(),
+                false => Vec::from_iter(known).join(", "),
+            },
+        });
+    }
+    entries.retain(|entry| camera(entry).is_some_and(|camera| cameras.contains(&camera)));
+    Ok(())
+}
+
+/// Groups by a rule. Videos from elsewhere than a list's or dataset's columns have no group; a column that no
+/// video has is an error.
+fn group(entries: &mut [Entry], rule: &GroupBy) -> Result<(), CorpusError> {
+    let mut unknown = None;
+    let mut any = false;
+    for entry in entries {
+        match rule.group(&entry.video, &entry.carried) {
+            Ok(group) => {
+                any = true;
+                entry.group = group;
+            }
+            Err(error) => unknown = unknown.or(Some(error)),
+        }
+    }
+    match unknown {
+        Some(error) if !any => Err(error),
+        _ => Ok(()),
     }
 }
 
@@ -240,18 +345,25 @@ pub(crate) fn empty(sources: &[String]) -> CorpusError {
 
 /// The entry as it is now; an object stays as it was listed, since reading it asks for that version.
 pub(crate) fn looked_at_again(entry: &Entry) -> Entry {
-    let (path, is_sequence) = match &entry.location {
-        Location::File(path) => (path, false),
-        Location::ImageSequence(path) => (path, true),
-        Location::Object(_) => return entry.clone(),
+    let path = |bytes: &[u8]| PathBuf::from(OsStr::from_bytes(bytes));
+    let (found, part) = match &entry.location {
+        Location::File(file) => (Found::at(path(file), false), None),
+        Location::ImageSequence(directory) => (Found::at(path(directory), true), None),
+        Location::Part(PartLocation {
+            whole: Whole::File(file),
+            part,
+        }) => (Found::at(path(file), false), Some(*part)),
+        Location::Object(_) | Location::Part(_) => return entry.clone(),
     };
+    let placed = part.map(|part| place_file(&found.path).part(part));
     let found = Found {
-        path: OsStr::from_bytes(path).into(),
-        is_sequence,
+        carried: entry.carried.clone(),
+        placed,
+        ..found
     };
     Entry {
         group: entry.group.clone(),
-        ..stat(entry.video.clone(), found, entry.carried.clone())
+        ..stat(entry.video.clone(), found)
     }
 }
 
@@ -293,7 +405,7 @@ mod tests {
             .iter()
             .map(|path| path.display().to_string())
             .collect();
-        freeze(&sources, None, out)
+        freeze(&sources, &Choice::default(), out)
     }
 
     #[test]

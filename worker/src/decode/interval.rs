@@ -118,7 +118,8 @@ pub(super) fn go_to(
         };
         // Demuxers look for decoding times, which come before those of presentation.
         let is_early = packet.as_ref().and_then(Packet::pts);
-        let is_early = is_early.is_some_and(|pts| window.place(pts) == Place::Before || pts == window.from);
+        let is_early =
+            is_early.is_some_and(|pts| window.place(pts) == Place::Before || pts == window.from);
         if is_early || at_start {
             return Ok(packet);
         }
@@ -150,7 +151,10 @@ mod tests {
         assert_eq!(placed[6..], [Place::After; 3]);
         // Exactly on a tick, and one nanosecond after it.
         let tenth = Rational(1, 10);
-        assert_eq!(window(100_000_000, 200_000_001, tenth), Window { from: 1, to: 3 });
+        assert_eq!(
+            window(100_000_000, 200_000_001, tenth),
+            Window { from: 1, to: 3 }
+        );
         assert_eq!(window(-100_000_001, 0, tenth), Window { from: -1, to: 0 });
         assert_eq!(window(-50_000_000, 0, tenth).place(0), Place::After);
     }

@@ -30,8 +30,8 @@ use serde::{Deserialize, Serialize};
 pub(crate) use convert::{BT709, EXACT_BICUBIC, is_full_range_format};
 pub use error::{DecodeError, LimitKind};
 pub use images::{decode_image, decode_images, digest_images, image_files, is_image_sequence};
-pub use sniff::{Container, sniff};
 pub use interval::Interval;
+pub use sniff::{Container, sniff};
 pub use video::{decode_interval, decode_video};
 
 /// Bounds on one video, checked from its header before any frame is decoded and again while decoding.

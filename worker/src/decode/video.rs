@@ -286,11 +286,7 @@ struct Run<'a> {
 type OnFrame<'f> = dyn FnMut(DecodedFrame) -> ControlFlow<()> + 'f;
 
 impl<'a> Run<'a> {
-    fn new(
-        source: Source,
-        limits: &'a DecodeLimits,
-        window: Window,
-    ) -> Result<Self, DecodeError> {
+    fn new(source: Source, limits: &'a DecodeLimits, window: Window) -> Result<Self, DecodeError> {
         Ok(Self {
             timeline: Timeline::new(source.tick_s()),
             decoder: source.decoder(limits)?,

@@ -173,12 +173,11 @@ impl Fetcher {
             .check_bytes(job.bytes_read())
             .map_err(|error| ended(error.into()))?;
         let range = match job.location.part() {
-            Some(Part::Bytes { offset, bytes }) => {
-                byte_range(offset, bytes, job.bytes).ok_or_else(|| {
+            Some(Part::Bytes { offset, bytes }) => byte_range(offset, bytes, job.bytes)
+                .ok_or_else(|| {
                     let path = object.to_string();
                     ended(ReadError::Outside { path })
-                })?
-            }
+                })?,
             Some(Part::Interval { .. }) | None => 0..job.bytes,
         };
         let key = ObjectKey::new(&object.key).map_err(|error| failed(error.into()))?;
