@@ -131,7 +131,7 @@ pub(super) fn expand_glob(
     let mut rest = PathBuf::new();
     for component in Path::new(pattern).components() {
         let text = component.as_os_str().to_string_lossy();
-        if rest.as_os_str().is_empty() && !text.contains(['*', '?', '[']) {
+        if rest.as_os_str().is_empty() && !text.contains(['*', '?', '[', '{']) {
             base.push(component);
         } else {
             rest.push(component);

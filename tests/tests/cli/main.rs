@@ -3,7 +3,8 @@
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
 //! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `evaluate`,
 //! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`: the commands and flags of these names.
-//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers.
+//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers. `datasets`: the
+//! same as sources.
 //! `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
@@ -15,6 +16,7 @@
     reason = "a test fails by panicking, and says what it could not try"
 )]
 
+mod datasets;
 mod evaluate;
 mod explain;
 mod faults;

@@ -11,6 +11,7 @@
     reason = "a test fails by panicking"
 )]
 
+mod datasets;
 mod dead;
 mod resume;
 mod score;

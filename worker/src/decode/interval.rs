@@ -19,7 +19,7 @@ pub struct Interval {
 impl Interval {
     /// Its length in seconds, as far as it lies after the video's start.
     pub(super) fn length_s(self) -> f64 {
-        (self.to_ns.saturating_sub(self.from_ns.max(0))) as f64 * 1e-9
+        self.to_ns.saturating_sub(self.from_ns.max(0)) as f64 / 1e9
     }
 }
 
@@ -71,6 +71,11 @@ impl Window {
         }
     }
 
+    /// Whether a keyframe that is presented then is early enough.
+    fn can_start_at(self, ticks: i64) -> bool {
+        ticks <= self.from
+    }
+
     /// Whether frames up to `last`, `interval` ticks apart, leave no room for one more. Half of an interval is
     /// for clocks that were rounded.
     pub(super) fn is_filled(self, last: i64, interval: f64) -> bool {
@@ -99,14 +104,9 @@ pub(super) fn go_to(
         if target_us <= 0 && back_us == 0 {
             return Ok(None);
         }
-        // At or before: of the demuxers that may be asked, none has times before 0 by much, so that the
-        // earliest of all is the last that is tried.
+        // The start is the last place that is tried.
         let at_start = target_us <= 0;
-        if at_start {
-            input.seek(0, ..)?;
-        } else {
-            input.seek(target_us, ..target_us)?;
-        }
+        input.seek(target_us.max(0), ..target_us.max(0))?;
         let packet = loop {
             let mut packet = Packet::empty();
             match packet.read(input) {
@@ -116,11 +116,9 @@ pub(super) fn go_to(
                 Err(_) => break None,
             }
         };
-        // Demuxers look for decoding times, which come before those of presentation.
-        let is_early = packet.as_ref().and_then(Packet::pts);
-        let is_early =
-            is_early.is_some_and(|pts| window.place(pts) == Place::Before || pts == window.from);
-        if is_early || at_start {
+        // Demuxers look for decoding times, which may come before those of presentation.
+        let pts = packet.as_ref().and_then(Packet::pts);
+        if at_start || pts.is_some_and(|pts| window.can_start_at(pts)) {
             return Ok(packet);
         }
         back_us = if back_us == 0 {

@@ -329,8 +329,11 @@ impl<'a> Run<'a> {
             }
             self.counts.packets += 1;
             // Samples before an edit list's start are decoded for reference only.
-            let inside = |pts| self.window.place(pts) == Place::Inside;
-            if !ffi::is_hidden(&packet) && packet.pts().is_none_or(inside) {
+            let is_inside = match packet.pts() {
+                Some(pts) => self.window.place(pts) == Place::Inside,
+                None => self.window == Window::WHOLE,
+            };
+            if !ffi::is_hidden(&packet) && is_inside {
                 self.counts.presentable += 1;
             }
             if let Err(error) = self.decoder.send_packet(&packet) {

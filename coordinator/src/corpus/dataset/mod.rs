@@ -10,6 +10,8 @@
 
 mod folder;
 mod lerobot;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod webdataset;
 
