@@ -6,6 +6,7 @@
 //! source, an unreadable directory, a duplicate name, an unknown column) is an error before any work.
 
 mod camera;
+mod choice;
 mod dataset;
 mod files;
 mod group;
@@ -22,10 +23,11 @@ use plumbline_common::store::StoreError;
 use plumbline_vision::slam::intrinsics::Intrinsics;
 use serde::{Deserialize, Serialize};
 
+pub use choice::Choice;
 pub use group::GroupBy;
 pub(crate) use list::{read as read_list, read_columns as read_list_columns};
 pub use objects::Buckets;
-pub use source::{Choice, Listing, freeze, freeze_anywhere};
+pub use source::{Listing, freeze, freeze_anywhere};
 pub(crate) use source::{empty, looked_at_again};
 
 /// One input video as it was when the corpus was frozen.

@@ -1,6 +1,8 @@
 //! Videos in object stores: what lies below `s3://bucket/prefix`, and the objects that lists name.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+mod found;
+
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -12,15 +14,18 @@ use plumbline_common::store::{
     self, Access, ObjectKey, ObjectMeta, ObjectStore, S3Options, StoreError,
 };
 use serde_json::{Map, Value};
-use tokio::runtime::Handle;
-use tokio::task::spawn_blocking;
 
-use super::dataset::{self, Datasets, Marks, ObjectTree, Placed, place_missing, place_object};
-use super::files::{ignore, is_video_name};
+use super::dataset::{self, place_missing, place_object};
+use super::files::ignore;
 use super::{CorpusError, Entry, Ignored, list};
+pub(super) use found::{Below, FoundObject};
+use found::{is_looked_at, sorted_out};
 
 /// Objects of a list looked up at once: enough to hide the way to the store, few enough for any store.
 const LOOK_UPS: usize = 64;
+
+/// Sources looked at once: one may be one of a thousand numbered shards.
+const SOURCES_AT_ONCE: usize = 16;
 
 /// Largest list read from a store, bytes: ten million lines.
 const MAX_LIST_BYTES: u64 = 1 << 30;
@@ -106,43 +111,12 @@ impl std::fmt::Display for Address {
     }
 }
 
-/// A video found in a store, before it has a name.
-#[derive(Debug)]
-pub(super) struct FoundObject {
-    /// Its address; of one in a dataset the address that it would have as an object, from which it is named.
-    address: String,
-    placed: Placed,
-    carried: Map<String, Value>,
-}
-
-impl FoundObject {
-    /// Named by what follows `root`.
-    pub(super) fn into_entry(self, root: &str) -> Result<Entry, CorpusError> {
-        let name = self.address.strip_prefix(root).unwrap_or(&self.address);
-        let video = VideoId::new(name).map_err(|error| CorpusError::List {
-            path: self.address.clone(),
-            reason: error.to_string(),
-        })?;
-        Ok(self.placed.into_entry(video, self.carried))
-    }
-}
-
 /// What a source in an object store is.
 pub(super) enum Looked {
     /// Videos.
     Objects(Below),
     /// A list of videos.
     Lines(Vec<ObjectLine>),
-}
-
-/// The videos below a prefix.
-pub(super) struct Below {
-    /// The prefix.
-    pub(super) root: Address,
-    pub(super) objects: Vec<FoundObject>,
-    /// Addresses of the LeRobot datasets among them.
-    pub(super) lerobot: Vec<String>,
-    pub(super) ignored: Ignored,
 }
 
 /// An object that a list names.
@@ -157,14 +131,31 @@ pub(super) struct ObjectLine {
     pub(super) carried: Map<String, Value>,
 }
 
-/// Looks at a source: an object of that name (a video, or a list), or all below the prefix. As in a
-/// directory, what begins with a dot is passed over, and so is what lies below `out`.
-pub(super) async fn look(
-    address: &Address,
+/// Looks at sources, several at once, and gives what they are in their order.
+pub(super) async fn look_at_all(
+    addresses: Vec<Address>,
     out: &str,
     stores: &mut OpenStores<'_>,
+) -> Result<Vec<Looked>, CorpusError> {
+    let mut with_stores = Vec::with_capacity(addresses.len());
+    for address in addresses {
+        let store = stores.get(&address.bucket).await?;
+        with_stores.push((address, store));
+    }
+    stream::iter(with_stores)
+        .map(async |(address, store)| look(&address, out, store).await)
+        .buffered(SOURCES_AT_ONCE)
+        .try_collect()
+        .await
+}
+
+/// Looks at a source: an object of that name (a video, or a list), or all below the prefix. As in a
+/// directory, what begins with a dot is passed over, and so is what lies below `out`.
+async fn look(
+    address: &Address,
+    out: &str,
+    store: Arc<dyn ObjectStore>,
 ) -> Result<Looked, CorpusError> {
-    let store = stores.get(&address.bucket).await?;
     if let Some(meta) = single(address, store.as_ref()).await? {
         if dataset::is_compressed_shard(Path::new(&address.key)) {
             return Err(CorpusError::Compressed {
@@ -222,81 +213,6 @@ pub(super) async fn look(
         *below.ignored.entry(extension).or_default() += count;
     }
     Ok(Looked::Objects(below))
-}
-
-/// Whether an object's name says that it is a video or of a dataset: others need not be remembered.
-fn is_looked_at(name: &str) -> bool {
-    is_video_name(Path::new(name))
-        || Marks::default().note(name)
-        || name.starts_with("meta/")
-        || name.contains("/meta/")
-}
-
-/// The videos among listed objects, those of datasets among them; `named` ones count whatever their extension.
-async fn sorted_out(
-    root: Address,
-    store: Arc<dyn ObjectStore>,
-    listed: BTreeMap<String, ObjectMeta>,
-    named: bool,
-) -> Result<Below, CorpusError> {
-    let mut marks = Marks::default();
-    let marked: BTreeSet<String> = listed
-        .keys()
-        .filter(|name| marks.note(name))
-        .cloned()
-        .collect();
-    let tree = ObjectTree {
-        store,
-        bucket: root.bucket.clone(),
-        prefix: root.key.clone(),
-        listed,
-        runtime: Handle::current(),
-    };
-    let (tree, datasets) = if marks.is_empty() {
-        (tree, Datasets::default())
-    } else {
-        let reading = spawn_blocking(move || {
-            let datasets = dataset::read(&tree, &marks)?;
-            Ok::<_, CorpusError>((tree, datasets))
-        });
-        reading.await.map_err(|error| CorpusError::List {
-            path: root.to_string(),
-            reason: format!("was not read to its end ({error}); run again"),
-        })??
-    };
-    let mut below = Below {
-        objects: Vec::new(),
-        lerobot: datasets
-            .whole
-            .iter()
-            .map(|directory| format!("{root}{directory}"))
-            .collect(),
-        ignored: Ignored::new(),
-        root,
-    };
-    for (name, meta) in tree.listed {
-        if datasets.owns(&name) {
-            continue;
-        }
-        let path = Path::new(&name);
-        if is_video_name(path) || named && !marked.contains(&name) {
-            below.objects.push(FoundObject {
-                address: format!("{}{name}", below.root),
-                placed: place_object(&below.root.bucket, meta),
-                carried: Map::new(),
-            });
-        } else {
-            ignore(&mut below.ignored, path);
-        }
-    }
-    below
-        .objects
-        .extend(datasets.samples.into_iter().map(|sample| FoundObject {
-            address: format!("{}{}", below.root, sample.name),
-            placed: sample.placed,
-            carried: sample.carried,
-        }));
-    Ok(below)
 }
 
 /// The object of exactly this name, if there is one: the first that a listing gives. Not asked for by name,

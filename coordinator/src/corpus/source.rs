@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 
 use plumbline_common::id::VideoId;
 use plumbline_common::message::{Location, PartLocation, Whole};
-use serde_json::Value;
 
-use super::dataset::{self, CAMERA, DirTree, Marks, place_file};
+use super::choice::Choice;
+use super::dataset::{self, DirTree, Marks, place_file};
 use super::files::{
     Found, VIDEO_EXTENSIONS, Walked, absolute, common_parent, expand_glob, ignore, relative_name,
-    stat, walk,
+    stat, text_of, walk,
 };
 use super::objects::{self, Address, Buckets, FoundObject, Looked, ObjectLine, OpenStores};
 use super::pattern::expanded;
-use super::{CorpusError, Entry, GroupBy, Ignored, camera, list};
+use super::{CorpusError, Entry, Ignored, camera, list};
 
 /// A frozen corpus and what was passed over on the way.
 #[derive(Debug)]
@@ -25,15 +25,6 @@ pub struct Listing {
     pub entries: Vec<Entry>,
     /// Files passed over, by extension.
     pub ignored: Ignored,
-}
-
-/// What is asked of a corpus beside its sources.
-#[derive(Debug, Clone, Default)]
-pub struct Choice {
-    /// How videos are grouped.
-    pub group_by: Option<GroupBy>,
-    /// The cameras whose videos are taken (the column `camera`); all where none is named.
-    pub cameras: Vec<String>,
 }
 
 /// Freezes what the sources name, files alone. `out` is left out of every walk.
@@ -77,24 +68,28 @@ pub async fn freeze_anywhere(
 ) -> Result<Listing, CorpusError> {
     let mut freezing = Freezing::without(Path::new(out));
     let mut stores = OpenStores::of(buckets);
+    let mut addresses = Vec::new();
     for source in all_expanded(sources)? {
         match (Address::parse(&source), source.contains("://")) {
-            (Some(address), _) => match objects::look(&address, out, &mut stores).await? {
-                Looked::Objects(below) => {
-                    for (extension, count) in below.ignored {
-                        *freezing.ignored.entry(extension).or_default() += count;
-                    }
-                    freezing.lerobot.extend(below.lerobot);
-                    freezing.listed.push((below.root, below.objects));
-                }
-                Looked::Lines(lines) => freezing.object_lines.extend(lines),
-            },
+            (Some(address), _) => addresses.push(address),
             (None, true) => {
                 return Err(CorpusError::UnknownStore {
                     source_text: source,
                 });
             }
             (None, false) => freezing.look_at_files(&source)?,
+        }
+    }
+    for looked in objects::look_at_all(addresses, out, &mut stores).await? {
+        match looked {
+            Looked::Objects(below) => {
+                for (extension, count) in below.ignored {
+                    *freezing.ignored.entry(extension).or_default() += count;
+                }
+                freezing.lerobot.extend(below.lerobot);
+                freezing.listed.push((below.root, below.objects));
+            }
+            Looked::Lines(lines) => freezing.object_lines.extend(lines),
         }
     }
     let lines = std::mem::take(&mut freezing.object_lines);
@@ -113,7 +108,7 @@ struct Freezing {
     /// Objects found in listings, and the addresses listed.
     listed: Vec<(Address, Vec<FoundObject>)>,
     /// The LeRobot datasets among all of them.
-    lerobot: Vec<String>,
+    lerobot: BTreeSet<String>,
     /// What lists name has its name already...
     named: BTreeMap<VideoId, Entry>,
     /// ...but objects were not looked up yet.
@@ -127,7 +122,7 @@ impl Freezing {
             ignored: Ignored::new(),
             walked: Vec::new(),
             listed: Vec::new(),
-            lerobot: Vec::new(),
+            lerobot: BTreeSet::new(),
             named: BTreeMap::new(),
             object_lines: Vec::new(),
         }
@@ -192,8 +187,8 @@ impl Freezing {
         }
         found.retain(|found| !owned(&found.path));
         for directory in &datasets.whole {
-            self.lerobot
-                .push(root.join(directory).display().to_string());
+            let dataset = root.join(directory);
+            self.lerobot.insert(dataset.display().to_string());
         }
         found.extend(datasets.samples.into_iter().map(|sample| Found {
             path: root.join(sample.name),
@@ -243,38 +238,45 @@ impl Freezing {
             let reason = format!("{name} stands in the list twice: name each video once");
             return Err(list_error(list, reason));
         }
-        camera::intrinsics(&entry.carried)
-            .map_err(|reason| list_error(list, format!("{name}: {reason}")))?;
+        check_camera(list, &entry)?;
         add(&mut self.named, entry)
     }
 
     fn finish(mut self, sources: &[String], choice: &Choice) -> Result<Listing, CorpusError> {
-        if let [first, second, ..] = &self.lerobot[..] {
+        let mut lerobot = self.lerobot.iter();
+        if let (Some(first), Some(second)) = (lerobot.next(), lerobot.next()) {
             return Err(CorpusError::SeveralDatasets {
                 first: first.clone(),
                 second: second.clone(),
             });
         }
         let root = common_parent(self.walked.iter().map(|(root, _)| root.as_path()));
-        for found in self.walked.into_iter().flat_map(|(_, found)| found) {
-            let name = relative_name(&found.path, &root);
-            let video = VideoId::new(name).map_err(|error| {
-                list_error(&found.path.display().to_string(), error.to_string())
-            })?;
-            add(&mut self.named, stat(video, found))?;
+        for (own_root, found) in self.walked {
+            let below = own_root.strip_prefix(&root).unwrap_or(&own_root);
+            let below = text_of(below.as_os_str().as_bytes());
+            for mut found in found {
+                let name = relative_name(&found.path, &root);
+                dataset::name_shard(&below, &mut found.carried);
+                let video = VideoId::new(name).map_err(|error| {
+                    list_error(&found.path.display().to_string(), error.to_string())
+                })?;
+                add_found(&mut self.named, stat(video, found))?;
+            }
         }
         let root = objects::common_parent(self.listed.iter().map(|(root, _)| root));
-        for object in self.listed.into_iter().flat_map(|(_, objects)| objects) {
-            add(&mut self.named, object.into_entry(&root)?)?;
+        for (own_root, objects) in self.listed {
+            let own_root = own_root.to_string();
+            let below = own_root.strip_prefix(&root).unwrap_or(&own_root);
+            for mut object in objects {
+                dataset::name_shard(below.trim_end_matches('/'), &mut object.carried);
+                add_found(&mut self.named, object.into_entry(&root)?)?;
+            }
         }
         if self.named.is_empty() {
             return Err(empty(sources));
         }
         let mut entries: Vec<Entry> = self.named.into_values().collect();
-        choose_cameras(&mut entries, &choice.cameras)?;
-        if let Some(rule) = &choice.group_by {
-            group(&mut entries, rule)?;
-        }
+        choice.apply(&mut entries)?;
         Ok(Listing {
             entries,
             ignored: self.ignored,
@@ -282,50 +284,17 @@ impl Freezing {
     }
 }
 
-/// Leaves the videos of the named cameras, each of which must be there.
-fn choose_cameras(entries: &mut Vec<Entry>, cameras: &[String]) -> Result<(), CorpusError> {
-    if cameras.is_empty() {
-        return Ok(());
-    }
-    let camera = |entry: &Entry| {
-        entry
-            .carried
-            .get(CAMERA)
-            .and_then(Value::as_str)
-            .map(str::to_owned)
-    };
-    let known: BTreeSet<String> = entries.iter().filter_map(camera).collect();
-    if let Some(unknown) = cameras.iter().find(|&camera| !known.contains(camera)) {
-        return Err(CorpusError::UnknownCamera {
-            camera: unknown.clone(),
-            known: match known.is_empty() {
-                true => "no column camera (LeRobot datasets do, and lists may)".to_owned(),
-                false => Vec::from_iter(known).join(", "),
-            },
-        });
-    }
-    entries.retain(|entry| camera(entry).is_some_and(|camera| cameras.contains(&camera)));
+/// What the columns of a list, or dataset, at `place` tell of the camera must be right.
+fn check_camera(place: &str, entry: &Entry) -> Result<(), CorpusError> {
+    camera::intrinsics(&entry.carried)
+        .map_err(|reason| list_error(place, format!("{}: {reason}", entry.video)))?;
     Ok(())
 }
 
-/// Groups by a rule. Videos from elsewhere than a list's or dataset's columns have no group; a column that no
-/// video has is an error.
-fn group(entries: &mut [Entry], rule: &GroupBy) -> Result<(), CorpusError> {
-    let mut unknown = None;
-    let mut any = false;
-    for entry in entries {
-        match rule.group(&entry.video, &entry.carried) {
-            Ok(group) => {
-                any = true;
-                entry.group = group;
-            }
-            Err(error) => unknown = unknown.or(Some(error)),
-        }
-    }
-    match unknown {
-        Some(error) if !any => Err(error),
-        _ => Ok(()),
-    }
+/// Adds what was found, whose columns are a dataset's.
+fn add_found(named: &mut BTreeMap<VideoId, Entry>, entry: Entry) -> Result<(), CorpusError> {
+    check_camera(&entry.address(), &entry)?;
+    add(named, entry)
 }
 
 fn list_error(list: &str, reason: String) -> CorpusError {
@@ -383,109 +352,4 @@ fn add(named: &mut BTreeMap<VideoId, Entry>, entry: Entry) -> Result<(), CorpusE
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::fs;
-
-    fn names(listing: &Listing) -> Vec<&str> {
-        listing
-            .entries
-            .iter()
-            .map(|entry| entry.video.as_str())
-            .collect()
-    }
-
-    fn touch(path: &Path) {
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-        fs::write(path, b"x").unwrap();
-    }
-
-    fn freeze_all(sources: &[&Path], out: &Path) -> Result<Listing, CorpusError> {
-        let sources: Vec<String> = sources
-            .iter()
-            .map(|path| path.display().to_string())
-            .collect();
-        freeze(&sources, &Choice::default(), out)
-    }
-
-    #[test]
-    fn a_directory_is_walked_sorted_and_without_out_or_hidden_files() {
-        let dir = tempfile::tempdir().unwrap();
-        let root = dir.path();
-        for name in [
-            "b.mp4",
-            "a/c d.MOV",
-            "a/.hidden.mp4",
-            "out/x.mp4",
-            "notes.txt",
-            "a/ü\n.webm",
-            "-x.gif",
-        ] {
-            touch(&root.join(name));
-        }
-        let listing = freeze_all(&[root], &root.join("out")).unwrap();
-        assert_eq!(
-            names(&listing),
-            ["-x.gif", "a/c d.MOV", "a/ü\n.webm", "b.mp4"]
-        );
-        assert_eq!(listing.ignored, BTreeMap::from([("txt".to_owned(), 1)]));
-    }
-
-    #[test]
-    fn names_that_are_not_utf8_are_percent_encoded() {
-        let dir = tempfile::tempdir().unwrap();
-        touch(&dir.path().join(OsStr::from_bytes(b"a\xff.mp4")));
-        let listing = freeze_all(&[dir.path()], Path::new("out")).unwrap();
-        assert_eq!(names(&listing), ["a%FF.mp4"]);
-    }
-
-    #[test]
-    fn several_sources_share_their_parent_and_overlaps_count_once() {
-        let dir = tempfile::tempdir().unwrap();
-        for name in ["real/a.mp4", "generated/a.mp4"] {
-            touch(&dir.path().join(name));
-        }
-        let (real, generated) = (dir.path().join("real"), dir.path().join("generated"));
-        let listing =
-            freeze_all(&[&real, &generated, &real.join("a.mp4")], Path::new("out")).unwrap();
-        assert_eq!(names(&listing), ["generated/a.mp4", "real/a.mp4"]);
-    }
-
-    #[test]
-    fn globs_take_what_they_match() {
-        let dir = tempfile::tempdir().unwrap();
-        for name in ["x/a.mp4", "x/b.mp4", "y/c.bin"] {
-            touch(&dir.path().join(name));
-        }
-        let listing = freeze_all(&[&dir.path().join("*/[ac].*")], Path::new("out")).unwrap();
-        assert_eq!(names(&listing), ["x/a.mp4", "y/c.bin"]);
-    }
-
-    #[test]
-    fn a_list_keeps_missing_videos_as_rows_and_refuses_duplicates() {
-        let dir = tempfile::tempdir().unwrap();
-        touch(&dir.path().join("a.mp4"));
-        let list = dir.path().join("list.txt");
-        fs::write(&list, "./a.mp4\nmissing.mp4\n").unwrap();
-        let listing = freeze_all(&[&list], Path::new("out")).unwrap();
-        assert_eq!(names(&listing), ["a.mp4", "missing.mp4"]);
-        assert!(listing.entries[0].problem.is_none());
-        assert!(listing.entries[1].problem.is_some());
-        fs::write(&list, "a.mp4\n./a.mp4\n").unwrap();
-        assert!(
-            freeze_all(&[&list], Path::new("out"))
-                .unwrap_err()
-                .to_string()
-                .contains("twice")
-        );
-    }
-
-    #[test]
-    fn nothing_there_is_an_error_that_names_it() {
-        let dir = tempfile::tempdir().unwrap();
-        let empty = freeze_all(&[dir.path()], Path::new("out")).unwrap_err();
-        assert!(matches!(empty, CorpusError::Empty { .. }));
-        let missing = freeze_all(&[&dir.path().join("nope")], Path::new("out")).unwrap_err();
-        assert!(missing.to_string().contains("nope"), "{missing}");
-    }
-}
+mod tests;

@@ -180,6 +180,15 @@ pub(super) fn read(tree: &dyn Tree, marks: &Marks) -> Result<Datasets, CorpusErr
     Ok(found)
 }
 
+/// Names a sample's shard below the whole run's root, of which `directory` is the source's own.
+pub(super) fn name_shard(directory: &str, carried: &mut Map<String, Value>) {
+    if let Some(Value::String(shard)) = carried.get_mut(webdataset::SHARD)
+        && !directory.is_empty()
+    {
+        shard.insert_str(0, &format!("{directory}/"));
+    }
+}
+
 /// Whether a file is named like a shard.
 pub(super) fn is_shard(path: &Path) -> bool {
     ends_with(path, &[".tar"])

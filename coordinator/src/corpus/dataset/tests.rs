@@ -233,6 +233,19 @@ async fn shards_are_named_one_by_one_by_pattern_and_by_glob() {
             "shard-002.tar/a.mp4"
         ]
     );
+    // Of several sources a shard is named as its videos are: below what they share.
+    let several =
+        ["x/shard-000.tar", "y"].map(|source| format!("{}/{source}", set.root().display()));
+    set.put("y/a.tar", shard(&[("a.mp4", b"1")]));
+    let several = freeze(&several, &choice, Path::new("out")).unwrap();
+    for entry in &several.entries {
+        let shard = entry.carried["__shard__"].as_str().unwrap();
+        assert!(
+            entry.video.as_str().starts_with(&format!("{shard}/")),
+            "{entry:?}"
+        );
+    }
+    assert_eq!(names(&several)[2], "y/a.tar/a.mp4");
     let glob = [format!("{}/x/*-00{{0,2}}.tar", set.root().display())];
     let glob = freeze(&glob, &choice, Path::new("out")).unwrap();
     assert_eq!(glob.entries.len(), 4);

@@ -28,7 +28,7 @@ use crate::corpus::files::{is_video_name, text_of};
 /// The column of a sample's key.
 const KEY: &str = "__key__";
 /// The column of a sample's shard.
-const SHARD: &str = "__shard__";
+pub(super) const SHARD: &str = "__shard__";
 /// The column of what a video is to show.
 const PROMPT: &str = "prompt";
 /// Its other usual name.

@@ -50,6 +50,7 @@ fn cut(bytes: &[u8], interval: Interval) -> (Result<VideoInfo, DecodeError>, Vec
 fn clip(muxer: &'static str, encoder: &'static str, group: &'static str) -> Option<Vec<u8>> {
     let mut settings = settings(muxer, encoder, Pixel::YUV420P);
     settings.encoder_options.push(("g", group));
+    // MPEG-4's encoder makes none by itself.
     if encoder == "mpeg4" {
         settings.encoder_options.push(("bf", "2"));
     }
@@ -65,7 +66,6 @@ fn an_interval_is_what_cutting_the_whole_gives() {
         ("mp4", "libaom-av1"),
         ("webm", "libvpx-vp9"),
         ("matroska", "libx264"),
-        ("avi", "mpeg4"),
     ] {
         // One keyframe for all, several per interval, and one every frame.
         for group in ["250", "7", "1"] {
