@@ -76,11 +76,7 @@ impl Knobs {
 
 /// The points of a grid; `of_rung` gives a rung's profile with what the user has set for all of them.
 pub fn points(grid: Grid, of_rung: &dyn Fn(Rung) -> Profile) -> Vec<GridPoint> {
-    // The learned rung answers another question, at a hundred times the cost.
-    let classical = Rung::ALL
-        .into_iter()
-        .filter(|rung| *rung != Rung::Reference);
-    let rungs = classical.map(|rung| GridPoint {
+    let rungs = Rung::CLASSICAL.into_iter().map(|rung| GridPoint {
         name: rung.as_str().to_owned(),
         profile: of_rung(rung),
     });
