@@ -20,7 +20,7 @@ fn run(name: &str) -> usize {
     for file in files {
         let path = file.unwrap().path();
         // Names the file where the target panics.
-        println!("{}", path.display());
+        eprintln!("{}", path.display());
         target(&std::fs::read(&path).unwrap());
         count += 1;
     }
