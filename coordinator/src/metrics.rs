@@ -36,7 +36,7 @@ impl Metrics {
     /// that its first increase is one.
     pub fn register(&self, registry: &mut Registry, on_fleet: bool) {
         for status in Status::ALL {
-            self.answers.get_or_create(&[("status", status.as_str())]);
+            drop(self.answers.get_or_create(&[("status", status.as_str())]));
         }
         let run = registry.sub_registry_with_prefix("plumbline_run");
         run.register("videos", "Videos of the corpus", self.videos.clone());
@@ -46,7 +46,7 @@ impl Metrics {
         run.register("answers", about, self.answers.clone());
         if on_fleet {
             for (name, _) in WATCHED {
-                self.ready.get_or_create(&[("queue", name)]);
+                drop(self.ready.get_or_create(&[("queue", name)]));
             }
             let queue = registry.sub_registry_with_prefix("plumbline_queue");
             let about = "Messages that wait for a receiver, by queue";

@@ -17,7 +17,7 @@ use serde_json::{Map, Value};
 
 use super::dataset::{self, place_missing, place_object};
 use super::files::ignore;
-use super::{CorpusError, Entry, Ignored, list};
+use super::{CorpusError, Entry, list};
 pub(super) use found::{Below, FoundObject};
 use found::{is_looked_at, sorted_out};
 

@@ -66,10 +66,10 @@ impl Metrics {
     pub fn register(&self, registry: &mut Registry) {
         let rows = Status::ALL.map(Status::as_str);
         for outcome in rows.into_iter().chain(OTHER_OUTCOMES) {
-            self.jobs.get_or_create(&[("outcome", outcome)]);
+            drop(self.jobs.get_or_create(&[("outcome", outcome)]));
         }
         for stage in STAGES {
-            self.stages.get_or_create(&[("stage", stage)]);
+            drop(self.stages.get_or_create(&[("stage", stage)]));
         }
         let registry = registry.sub_registry_with_prefix("plumbline_worker");
         let about = "Jobs by what became of them: a row's status, dropped (the run is gone), retried, handed_back (the worker was told to stop), unreadable, repeated (answered before)";
