@@ -24,6 +24,12 @@ const FRAMES: usize = 12;
 /// [`ProfileError::Unusable`] with the row's reason; [`ProfileError::NotTried`] where the clip cannot be
 /// made or no child starts.
 pub async fn tried(profile: &Profile, slots: &Slots) -> Result<(), ProfileError> {
+    if profile.edge_spans.is_empty() {
+        return Err(ProfileError::Unusable {
+            reason: "edge_spans is empty; name at least 1, the distance of adjacent frames"
+                .to_owned(),
+        });
+    }
     let not_tried = |error: &dyn std::fmt::Display| ProfileError::NotTried(error.to_string());
     let place = tempfile::tempdir().map_err(|error| not_tried(&error))?;
     let spec = ClipSpec {
