@@ -187,7 +187,6 @@ impl Shard<'_> {
             let member = member.inspect_err(|_| self.close(std::mem::take(&mut open), samples))?;
             self.take(member, &mut open, samples)?;
         }
-        drop(entries);
         self.close(open, samples);
         let is_told = samples.iter().any(|sample| sample.placed.problem.is_some());
         if self.bytes < BLOCK_BYTES as u64 || is_told {
