@@ -17,8 +17,8 @@ use crate::picture::png;
 /// Frames of the clip: enough for every signal and for the dense adjustment to be asked.
 const FRAMES: usize = 12;
 
-/// Measures the clip with `profile`, without what takes minutes for each frame. A profile that finds too little in it (too small a picture, too few
-/// frames) is none to refuse; one whose row is `failed` is.
+/// Measures the clip with `profile`, without what takes minutes for each frame. A profile that finds too
+/// little in it (too small a picture, too few frames) is none to refuse; one whose row is `failed` is.
 ///
 /// # Errors
 /// [`ProfileError::Unusable`] with the row's reason; [`ProfileError::NotTried`] where the clip cannot be

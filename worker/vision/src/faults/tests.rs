@@ -86,17 +86,21 @@ fn is_in_patch(place: Option<Place>) -> bool {
     })
 }
 
+/// A still picture for twelve frames, but for the seventh.
+fn one_bad_frame() -> Vec<NormalisedFrame> {
+    let frames = (0..12).map(|t| {
+        if t == 6 {
+            picture(patch)
+        } else {
+            picture(ground)
+        }
+    });
+    frames.collect()
+}
+
 #[test]
 fn a_single_bad_frame_is_found_at_itself_and_nowhere_else() {
-    let clip: Vec<_> = (0..12)
-        .map(|t| {
-            if t == 6 {
-                picture(patch)
-            } else {
-                picture(ground)
-            }
-        })
-        .collect();
+    let clip = one_bad_frame();
     let series = still_clip(&clip, 1);
     let points = series.points(FaultKind::BadFrame);
     // Judged from the second frame to the last but one.
@@ -503,15 +507,7 @@ fn wrong_input_is_an_error_and_changes_nothing() {
 
 #[test]
 fn what_is_left_out_of_bad_frame_is_below_what_was_told() {
-    let clip: Vec<_> = (0..12)
-        .map(|t| {
-            if t == 6 {
-                picture(patch)
-            } else {
-                picture(ground)
-            }
-        })
-        .collect();
+    let clip = one_bad_frame();
     let full = still_clip(&clip, 1);
     let full = full.points(FaultKind::BadFrame);
     let largest = full.iter().map(|point| point.score).fold(0.0, f64::max);
