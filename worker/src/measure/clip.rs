@@ -256,32 +256,27 @@ impl<'a> Clip<'a> {
             }
             self.flow_work.pairs_in_full += 1;
             match &adjacent {
-                Some((edge, end_point)) if to - from == 1 => {
-                    self.geometric(|edges| edges.measured(from, to, &edge.flows, end_point))?;
+                Some(edge) if to - from == 1 => {
+                    self.geometric(|edges| edges.measured(from, to, &edge.flows))?;
                 }
                 _ => {
-                    let adjacent = adjacent.as_ref().map(|(edge, _)| edge);
-                    longer.extend(self.longer(earlier, &current, adjacent)?);
+                    longer.extend(self.longer(earlier, &current, adjacent.as_ref())?);
                 }
             }
         }
-        longer.extend(adjacent.map(|(edge, _)| edge));
+        longer.extend(adjacent);
         self.observe(&current, &longer)?;
         self.remember(current);
         Ok(())
     }
 
-    /// The edge to the frame before, and its end-point error; its numbers are taken.
-    fn adjacent(
-        &mut self,
-        earlier: &Prepared,
-        current: &Prepared,
-    ) -> Result<(Edge, EndPointError), ClipError> {
+    /// The edge to the frame before; its numbers are taken.
+    fn adjacent(&mut self, earlier: &Prepared, current: &Prepared) -> Result<Edge, ClipError> {
         let edge = self.edge(earlier, current)?;
         let end_point = self.end_point(current.index, &edge.flows)?;
         self.photometric([earlier, current], &edge, &end_point)?;
         self.edges.adjacent(Rc::clone(&edge.flows));
-        Ok((edge, end_point))
+        Ok(edge)
     }
 
     /// An edge to a frame further back, for the motion models. It is returned where something else may read it:
@@ -295,7 +290,7 @@ impl<'a> Clip<'a> {
         let (from, to) = (earlier.index, current.index);
         if !self.profile.follow_flow {
             let edge = self.edge(earlier, current)?;
-            self.measured(from, to, &edge.flows)?;
+            self.geometric(|edges| edges.measured(from, to, &edge.flows))?;
             return Ok(Some(edge));
         }
         self.geometric(|edges| edges.followed(from, to))?;
@@ -336,19 +331,13 @@ impl<'a> Clip<'a> {
                 1 => self.geometric(|edges| edges.keep(from, to))?,
                 span if self.profile.edge_spans.contains(&span) => {
                     let flows = self.flows(&earlier, &current)?;
-                    self.measured(from, to, &flows)?;
+                    self.geometric(|edges| edges.measured(from, to, &flows))?;
                 }
                 _ => {}
             }
         }
         self.remember(current);
         Ok(())
-    }
-
-    /// An edge whose flows are not followed, for the motion models.
-    fn measured(&mut self, from: u32, to: u32, flows: &PairFlows) -> Result<(), ClipError> {
-        let end_point = self.end_point(to, flows)?;
-        self.geometric(|edges| edges.measured(from, to, flows, &end_point))
     }
 
     fn remember(&mut self, current: Rc<Prepared>) {

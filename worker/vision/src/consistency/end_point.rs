@@ -11,6 +11,7 @@ use super::{
 };
 use crate::flow::Flow;
 use crate::flow::simd::{Kernel, dispatch};
+use crate::image::Bilinear;
 
 // Vectors checked before looking whether one failed: a few cache lines.
 const CHECK_CHUNK: usize = 256;
@@ -42,19 +43,77 @@ impl EndPointError {
         backward: &Flow,
         params: &ConsistencyParams,
     ) -> Result<Self, ConsistencyError> {
-        params.validate()?;
-        check_pair(forward, backward)?;
-        for flow in [forward, backward] {
-            if !all_plausible(flow) {
-                check_values(flow)?;
-            }
-        }
+        check(forward, backward, params)?;
         Ok(dispatch(Measurement {
             forward,
             backward,
             params,
         }))
     }
+}
+
+/// The errors of single pixels, for who reads few of them.
+#[derive(Debug, Clone, Copy)]
+pub struct EndPoints<'a> {
+    forward: &'a Flow,
+    backward: &'a Flow,
+    /// Reference pixels per pixel of the flow.
+    scale: f32,
+}
+
+impl<'a> EndPoints<'a> {
+    /// Of `forward` against `backward`, both in pixels of their own grid.
+    ///
+    /// # Errors
+    /// As [`EndPointError::new`].
+    pub fn new(
+        forward: &'a Flow,
+        backward: &'a Flow,
+        params: &ConsistencyParams,
+    ) -> Result<Self, ConsistencyError> {
+        check(forward, backward, params)?;
+        Ok(Self {
+            forward,
+            backward,
+            scale: (params.reference_height_px / forward.height as f64) as f32,
+        })
+    }
+
+    /// The error at column `x`, row `y`, reference pixels, to the bit that of [`EndPointError::error_px`];
+    /// `None` where the end point leaves the frame and of what is no pixel.
+    #[must_use]
+    pub fn error_px(&self, x: usize, y: usize) -> Option<f32> {
+        let (width, height) = (self.forward.width, self.forward.height);
+        if x >= width || y >= height {
+            return None;
+        }
+        let [u, v] = self.forward.data[y * width + x];
+        let (to_x, to_y) = (x as f32 + u, y as f32 + v);
+        if !inside(to_x, to_y, width, height) {
+            return None;
+        }
+        let at = Bilinear::at(to_x, to_y, width, height);
+        let [a, b, c, d] = at.indices.map(|index| self.backward.data[index]);
+        let back = [0, 1].map(|k| at.mix(a[k], b[k], c[k], d[k]) * self.scale);
+        let squared = squared_norm([u * self.scale + back[0], v * self.scale + back[1]]);
+        Some(squared.sqrt())
+    }
+}
+
+/// Whether the flows belong together and hold nothing absurd.
+fn check(
+    forward: &Flow,
+    backward: &Flow,
+    params: &ConsistencyParams,
+) -> Result<(), ConsistencyError> {
+    params.validate()?;
+    check_pair(forward, backward)?;
+    for flow in [forward, backward] {
+        if !all_plausible(flow) {
+            check_values(flow)?;
+        }
+    }
+    Ok(())
 }
 
 struct Measurement<'a> {
@@ -160,7 +219,6 @@ fn all_plausible(flow: &Flow) -> bool {
 }
 
 /// Whether a point lies between the outermost pixel centres.
-#[cfg(test)]
 pub(super) fn inside(x: f32, y: f32, width: usize, height: usize) -> bool {
     x >= 0.0 && x <= (width - 1) as f32 && y >= 0.0 && y <= (height - 1) as f32
 }
@@ -168,7 +226,6 @@ pub(super) fn inside(x: f32, y: f32, width: usize, height: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::Bilinear;
 
     fn constant(width: usize, height: usize, vector: [f32; 2]) -> Flow {
         Flow {
@@ -286,6 +343,11 @@ mod tests {
                 };
                 assert_eq!(measured, expected);
                 assert_eq!(plain.run(), expected);
+                let single = EndPoints::new(&ahead, &back, &params).unwrap();
+                for (i, error_px) in expected.error_px.iter().enumerate() {
+                    assert_eq!(single.error_px(i % width, i / width), *error_px);
+                }
+                assert_eq!(single.error_px(width, 0), None);
             }
         }
     }

@@ -11,7 +11,7 @@ mod look_up;
 mod structure;
 mod worldscore;
 
-pub use end_point::EndPointError;
+pub use end_point::{EndPointError, EndPoints};
 pub use evidence::{Evidence, GridFlow, NormalisedFrame};
 pub use structure::Structure;
 pub use worldscore::{WorldscoreEpe, worldscore_epe};
