@@ -29,7 +29,7 @@ pub struct EndPointError {
     pub occluded_fraction: Option<f64>,
     /// Share of pixels whose end point lies in the frame.
     pub in_frame_fraction: f64,
-    /// `[H, W]` error in pixels; `None` where the end point leaves the frame.
+    /// `[H, W]` error in pixels; `None` where the end point leaves the frame. Empty where it was not asked for.
     pub error_px: Vec<Option<f32>>,
 }
 
@@ -48,6 +48,25 @@ impl EndPointError {
             forward,
             backward,
             params,
+            keeps_map: true,
+        }))
+    }
+
+    /// As [`Self::new`], without the map.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn without_map(
+        forward: &Flow,
+        backward: &Flow,
+        params: &ConsistencyParams,
+    ) -> Result<Self, ConsistencyError> {
+        check(forward, backward, params)?;
+        Ok(dispatch(Measurement {
+            forward,
+            backward,
+            params,
+            keeps_map: false,
         }))
     }
 }
@@ -120,6 +139,7 @@ struct Measurement<'a> {
     forward: &'a Flow,
     backward: &'a Flow,
     params: &'a ConsistencyParams,
+    keeps_map: bool,
 }
 
 impl Kernel for Measurement<'_> {
@@ -133,20 +153,21 @@ impl Kernel for Measurement<'_> {
         let scale = (self.params.reference_height_px / height as f64) as f32;
         let mut row = Row::new(width);
         let (mut sum, mut in_frame, mut occluded) = (0.0, 0usize, 0usize);
-        let mut error_px = vec![None; self.forward.data.len()];
-        let rows = self.forward.data.chunks_exact(width);
-        for (y, (ahead, out)) in rows.zip(error_px.chunks_exact_mut(width)).enumerate() {
+        let mut error_px = Vec::new();
+        if self.keeps_map {
+            error_px.reserve_exact(self.forward.data.len());
+        }
+        for (y, ahead) in self.forward.data.chunks_exact(width).enumerate() {
             row.to.locate(ahead, [1.0; 2], y, height);
             row.to.gather(&self.backward.data, &mut row.around);
             row.compare(ahead, scale, self.params);
-            let pixels = out
-                .iter_mut()
-                .zip(&row.error)
-                .zip(&row.to.inside)
-                .zip(&row.apart);
-            for (((out, &error), &inside), &apart) in pixels {
+            let errors = row.error.iter().zip(&row.to.inside);
+            if self.keeps_map {
+                let error = |(&error, &inside): (&f32, &bool)| inside.then_some(error);
+                error_px.extend(errors.clone().map(error));
+            }
+            for ((&error, &inside), &apart) in errors.zip(&row.apart) {
                 if inside {
-                    *out = Some(error);
                     sum += f64::from(error);
                     in_frame += 1;
                     occluded += usize::from(apart);
@@ -340,7 +361,12 @@ mod tests {
                     forward: &ahead,
                     backward: &back,
                     params: &params,
+                    keeps_map: true,
                 };
+                let mut summary = EndPointError::without_map(&ahead, &back, &params).unwrap();
+                assert!(summary.error_px.is_empty());
+                summary.error_px.clone_from(&expected.error_px);
+                assert_eq!(summary, expected);
                 assert_eq!(measured, expected);
                 assert_eq!(plain.run(), expected);
                 let single = EndPoints::new(&ahead, &back, &params).unwrap();

@@ -13,7 +13,7 @@ mod worldscore;
 
 pub use end_point::{EndPointError, EndPoints};
 pub use evidence::{Evidence, GridFlow, NormalisedFrame};
-pub use structure::Structure;
+pub use structure::{FrameStructure, Structure};
 pub use worldscore::{WorldscoreEpe, worldscore_epe};
 
 use serde::{Deserialize, Serialize};
