@@ -142,9 +142,10 @@ fn reduce<const P: usize, const N: usize>(rows: [[f32; P]; N]) -> [f32; N] {
     let mut count = P;
     while count > 1 {
         let half = count.div_ceil(2);
-        for k in 0..count - half {
-            for n in 0..N {
-                lanes[k][n] += lanes[k + half][n];
+        let (sums, others) = lanes.split_at_mut(half);
+        for (sums, others) in sums.iter_mut().zip(&others[..count - half]) {
+            for (sum, other) in sums.iter_mut().zip(others) {
+                *sum += other;
             }
         }
         count = half;
