@@ -518,14 +518,14 @@ fn one_way_across_tells_that_a_lively_clip_has_no_bad_frame() {
     ];
     let across = pair(&clip[0], &clip[2], [0.0; 2]);
     let ahead = Some(&across.forward_change);
-    for t in 0..3 {
+    for (t, picture) in clip.iter().enumerate() {
         if t == 2 {
             assert!(stream.may_be_bad(&pairs[1], None));
             assert!(!stream.may_be_bad(&pairs[1], ahead));
         }
         let input = FaultInput {
             frame: t,
-            picture: &clip[t],
+            picture,
             adjacent: t.checked_sub(1).map(|pair| &pairs[pair]),
             skip: None,
             skip_ahead: ahead.filter(|_| t == 2),
