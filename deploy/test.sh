@@ -69,6 +69,16 @@ seed_models() {
     touch "$work/models/done"
 }
 
+# The library by which trainers read shards, with which the tests read what was kept of them.
+install_trainers() {
+    local venv=${CARGO_TARGET_DIR:-$root/target}/tmp/trainers-venv
+    if ! "$venv/bin/python" -c '' 2>/dev/null; then
+        apt_install python3-venv
+        python3 -m venv "$venv"
+    fi
+    "$venv/bin/pip" install --quiet --disable-pip-version-check -r tests/trainers/requirements.txt
+}
+
 # The model converter's own tests, its networks against the reference's numbers where those are at hand, and
 # the converted sets for the tests in Rust.
 convert_models() {
@@ -92,10 +102,10 @@ servers=deploy/servers.sh
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
     unit) lint; run "not ($cli) and not ($parity) and not ($numerics) and not ($fleet)" ;;
-    cli) seed_models; run "$cli" ;;
+    cli) install_trainers; seed_models; run "$cli" ;;
     parity) export_prototype; convert_models; run "$parity" ;;
     numerics) run "$numerics" ;;
     fleet) seed_models; run "$fleet" "$servers" ;;
-    all) lint; export_prototype; convert_models; seed_models; run 'all()' "$servers" ;;
+    all) lint; export_prototype; convert_models; seed_models; install_trainers; run 'all()' "$servers" ;;
     *) echo "unknown suite $suite: unit, cli, parity, numerics or fleet" >&2; exit 2 ;;
 esac

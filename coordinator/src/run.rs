@@ -19,7 +19,7 @@ use plumbline_worker::profile::Profile;
 use crate::answers::Answers;
 use crate::cascade::record::CascadeRecord;
 use crate::collect::{Journal, JournalError};
-use crate::corpus::{self, Entry, GroupBy, Ignored};
+use crate::corpus::{self, Choice, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
 use crate::fleet::{self, FleetOptions, FleetRun, Questions};
 use crate::heat_maps::{self, HeatMaps};
@@ -57,8 +57,8 @@ pub struct ScoreOptions {
     pub sources: Vec<String>,
     /// Where results go.
     pub out: PathBuf,
-    /// How rows are grouped.
-    pub group_by: Option<GroupBy>,
+    /// Which of their videos, and how rows are grouped.
+    pub choice: Choice,
     /// How videos are measured.
     pub profile: Profile,
     /// How rows become decisions.
@@ -97,6 +97,7 @@ impl ScoreOptions {
     /// The options that a reader of the report may ask for.
     fn told(&self) -> Vec<(String, String)> {
         let group_by = self
+            .choice
             .group_by
             .as_ref()
             .map_or("none".to_owned(), GroupBy::to_string);
@@ -163,9 +164,8 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     let started = Instant::now();
     let out = options.out.to_string_lossy();
     let s3 = options.slots.fetcher.s3_options();
-    let group_by = options.group_by.as_ref();
     let remote = RemoteOut::open(&out, s3).await?;
-    let listing = corpus::freeze_anywhere(&options.sources, group_by, &out, s3).await?;
+    let listing = corpus::freeze_anywhere(&options.sources, &options.choice, &out, s3).await?;
     tell_ignored(&listing.ignored);
     let entries = Arc::new(listing.entries);
 

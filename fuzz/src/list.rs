@@ -1,6 +1,6 @@
 //! Lists of videos: the same bytes as each of the formats.
 
-use plumbline_coordinator::corpus;
+use plumbline_coordinator::corpus::{self, Choice};
 
 pub(crate) fn target(bytes: &[u8]) {
     for name in ["l.txt", "l.csv", "l.jsonl", "l.parquet"] {
@@ -11,7 +11,7 @@ pub(crate) fn target(bytes: &[u8]) {
         // The corpus of a parquet file of that many rows is the same code again.
         if name != "l.parquet" {
             let source = path.to_string_lossy().into_owned();
-            let listing = corpus::freeze(&[source], None, "/nowhere".as_ref());
+            let listing = corpus::freeze(&[source], &Choice::default(), "/nowhere".as_ref());
             let Ok(listing) = listing else { continue };
             let names = listing.entries.iter().map(|entry| &entry.video);
             assert!(

@@ -16,8 +16,8 @@ source=$(realpath "${1:-../shared/data/rollouts}")
 target=${CARGO_TARGET_DIR:-target}
 command="tests/benches/cascade.sh"
 
-cargo build --release --locked --bin plumbline
-cargo build --release --locked -p plumbline-coordinator --example cascade_curve
+cargo build --release --locked --workspace --bin plumbline
+cargo build --release --locked --workspace --example cascade_curve
 built=$target/release/plumbline
 work=${WORK:-$target/cascade}/$(sha256sum "$built" | cut -c1-16)
 mkdir -p "$work"

@@ -119,7 +119,9 @@ struct Row {
 
 /// Rows of `of` and what is below it, with the values of each of `columns`.
 fn rows(sources: &Sources, of: &str, prefix: &str, columns: &[&Value], out: &mut Vec<Row>) {
-    let object = columns.iter().find_map(|value| value.as_object()).unwrap();
+    // The fullest: sections that a rung goes without are not written for it.
+    let objects = columns.iter().filter_map(|value| value.as_object());
+    let object = objects.max_by_key(|object| object.len()).unwrap();
     let fields = sources.find(of, object);
     let fields = fields.unwrap_or_else(|| panic!("no struct {of} with the fields {object:?}"));
     for field in fields {
@@ -187,7 +189,11 @@ fn page() -> String {
          `plumbline profile show NAME` prints a file of them, `--profile FILE.toml` uses one: it names the rung it starts \
          from (`rung`) and what it changes. A bar means not set.\n\n",
     );
-    let ladder = Rung::ALL.map(|rung| serde_json::to_value(Profile::new(rung)).unwrap());
+    // By way of the canonical text, which has the shortest form of every number.
+    let ladder = Rung::ALL.map(|rung| {
+        let text = Profile::new(rung).canonical().unwrap();
+        serde_json::from_slice::<Value>(&text).unwrap()
+    });
     let names = Rung::ALL.map(|rung| format!("`{}`", rung.as_str()));
     writeln!(page, "| knob | {} | meaning |", names.join(" | ")).unwrap();
     writeln!(page, "|---|{}---|", "---|".repeat(names.len())).unwrap();

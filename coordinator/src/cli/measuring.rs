@@ -193,7 +193,11 @@ impl ComputingArgs {
             settings.compute.learned_deadline_s = deadline_s;
         }
         settings.models.place = self.settings.models.clone().or(settings.models.place);
-        settings.models.runtime = self.settings.onnxruntime.clone().or(settings.models.runtime);
+        settings.models.runtime = self
+            .settings
+            .onnxruntime
+            .clone()
+            .or(settings.models.runtime);
         if let Some(memory_mib) = self.settings.memory {
             settings.compute.memory_mib = memory_mib;
         }

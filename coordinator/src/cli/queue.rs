@@ -7,7 +7,6 @@ use std::time::Duration;
 use clap::Args;
 use plumbline_common::queue::{AmqpBroker, Broker};
 use plumbline_worker::settings::Settings;
-
 use tokio::time::timeout;
 
 use super::Failure;

@@ -16,7 +16,7 @@ use super::reducing::ReducingArgs;
 use super::watching::WatchingArgs;
 use super::{Failure, exit, print_json, summary};
 use crate::cascade::budget::Budget;
-use crate::corpus::{CorpusError, GroupBy};
+use crate::corpus::{Choice, CorpusError, GroupBy};
 use crate::metrics::Metrics;
 use crate::reduce::outcome::NormaliseWithin;
 use crate::run::{self, CascadeOptions, RunError, ScoreOptions};
@@ -25,8 +25,8 @@ use crate::watch;
 /// Scores every video of a source: scores, manifests, rewards and a report
 #[derive(Debug, Args)]
 pub(super) struct ScoreArgs {
-    /// Videos, directories (recursive), globs, s3://BUCKET/PREFIX, or lists (.txt, .csv, .jsonl, .parquet
-    /// with a column `video`)
+    /// Videos, directories (recursive), globs, s3://BUCKET/PREFIX, LeRobot datasets, WebDataset shards
+    /// (rollout-{000..127}.tar), or lists (.txt, .csv, .jsonl, .parquet with a column `video`)
     #[arg(required = true, value_name = "SOURCE")]
     sources: Vec<String>,
     /// Directory or s3://BUCKET/PREFIX for the results; a run that was stopped resumes from it
@@ -48,6 +48,10 @@ pub(super) struct ScoreArgs {
     /// Groups: a list's COLUMN, path:N (N-th directory below SOURCE) or prefix:SEP (file name before SEP)
     #[arg(long, value_name = "RULE")]
     group_by: Option<GroupBy>,
+    /// Only videos of this camera (a LeRobot video key such as observation.images.top, or a list's column
+    /// `camera`); again for more [default: all]
+    #[arg(long = "camera", value_name = "KEY")]
+    cameras: Vec<String>,
     /// Videos measured at once [default: one per core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
@@ -183,7 +187,10 @@ impl ScoreArgs {
         Ok(ScoreOptions {
             sources: self.sources,
             out: self.out,
-            group_by: self.group_by,
+            choice: Choice {
+                group_by: self.group_by,
+                cameras: self.cameras,
+            },
             profile,
             reduce,
             resume: !self.no_resume,

@@ -8,7 +8,7 @@ use plumbline_worker::profile::{Profile, Rung};
 use super::measuring::{ComputingArgs, SettingArgs};
 use super::summary::printable;
 use super::{Failure, exit, print_text};
-use crate::corpus::{CorpusError, GroupBy};
+use crate::corpus::{Choice, CorpusError, GroupBy};
 use crate::profiles::ProfileName;
 use crate::progress::say;
 use crate::reduce::outcome::{NormaliseWithin, Range, Recipe};
@@ -55,6 +55,9 @@ pub(super) struct TradeoffArgs {
     /// Groups: a list's COLUMN, path:N or prefix:SEP
     #[arg(long, value_name = "RULE")]
     group_by: Option<GroupBy>,
+    /// Only videos of this camera; again for more [default: all]
+    #[arg(long = "camera", value_name = "KEY")]
+    cameras: Vec<String>,
     /// Judgements (.csv, .jsonl or .parquet): columns `video` and `label` (0 failure, 1 success)
     #[arg(long, value_name = "LABELS")]
     labels: Option<PathBuf>,
@@ -182,7 +185,7 @@ impl TradeoffArgs {
     /// The points, the top one last.
     fn points(&self) -> Result<Vec<GridPoint>, Failure> {
         let mut rungs = Vec::new();
-        for rung in Rung::ALL {
+        for rung in Rung::CLASSICAL {
             rungs.push((rung, self.load(&ProfileName::Rung(rung))?.0));
         }
         let of_rung = |rung: Rung| {
@@ -223,7 +226,10 @@ impl TradeoffArgs {
         Ok(TradeoffOptions {
             sources: self.sources,
             out: self.out,
-            group_by: self.group_by,
+            choice: Choice {
+                group_by: self.group_by,
+                cameras: self.cameras,
+            },
             sample: self.sample as usize,
             seed: self.seed,
             points,

@@ -1,5 +1,5 @@
 //! `manifests/{keep,drop,review}.*`: what a trainer reads. `path` is the video's absolute path or
-//! URI, as the corpus lists it.
+//! URI, as the corpus lists it; of a member or an episode that of the file which it is in.
 
 use plumbline_common::row::{Decision, Row};
 

@@ -204,7 +204,7 @@ fn parquet_and_jsonl_say_the_same() {
     for (json, parquet) in from_jsonl.iter().zip(&from_parquet) {
         let names: Vec<_> = json.keys().collect();
         assert_eq!(names, parquet.keys().collect::<Vec<_>>());
-        assert_eq!(names.len(), 50 + 8);
+        assert_eq!(names.len(), 54 + 8);
         for (column, value) in json {
             assert_eq!(as_in_parquet(column, value), parquet[column], "{column}");
         }

@@ -7,7 +7,7 @@ use plumbline_common::row::Cost;
 
 use super::{GridPoint, TradeoffOptions};
 use crate::collect::Journal;
-use crate::corpus::Entry;
+use crate::corpus::{Choice, Entry};
 use crate::fanout::Fanout;
 use crate::keep::Keep;
 use crate::measuring;
@@ -39,7 +39,7 @@ pub(super) async fn measure(
     let run = ScoreOptions {
         sources: options.sources.clone(),
         out: place.root().to_path_buf(),
-        group_by: None,
+        choice: Choice::default(),
         profile: point.profile.clone(),
         reduce: ReduceOptions {
             profile_digest,

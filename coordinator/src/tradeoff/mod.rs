@@ -38,7 +38,7 @@ use std::sync::Arc;
 use plumbline_common::row::{Cost, Row};
 use serde::Serialize;
 
-use crate::corpus::{self, Entry, GroupBy};
+use crate::corpus::{self, Choice, Entry};
 use crate::fanout::Slots;
 use crate::lease::Lease;
 use crate::profiles;
@@ -82,8 +82,8 @@ pub struct TradeoffOptions {
     pub sources: Vec<String>,
     /// Where results go.
     pub out: PathBuf,
-    /// How videos are grouped: strata of the sample, and the groups of the keep rule.
-    pub group_by: Option<GroupBy>,
+    /// Which of its videos, and their groups: strata of the sample, and the groups of the keep rule.
+    pub choice: Choice,
     /// Videos in the sample.
     pub sample: usize,
     /// Seed of the sample.
@@ -201,8 +201,7 @@ pub async fn tradeoff(options: &TradeoffOptions) -> Result<Tradeoff, TradeoffErr
     }
     let out_text = options.out.to_string_lossy();
     let s3 = options.slots.fetcher.s3_options();
-    let group_by = options.group_by.as_ref();
-    let listing = corpus::freeze_anywhere(&options.sources, group_by, &out_text, s3).await?;
+    let listing = corpus::freeze_anywhere(&options.sources, &options.choice, &out_text, s3).await?;
     let labels = match &options.labels {
         Some((path, column)) => labels::read(path, column)?,
         None => BTreeMap::new(),

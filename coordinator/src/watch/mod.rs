@@ -110,13 +110,12 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
 
 /// What the sources hold now; nothing yet is no error.
 async fn listing(options: &ScoreOptions) -> Result<Vec<Entry>, RunError> {
-    let (sources, group_by, out) = (
+    let (sources, choice, out) = (
         options.sources.clone(),
-        options.group_by.clone(),
+        options.choice.clone(),
         options.out.clone(),
     );
-    let looking =
-        tokio::task::spawn_blocking(move || corpus::freeze(&sources, group_by.as_ref(), &out));
+    let looking = tokio::task::spawn_blocking(move || corpus::freeze(&sources, &choice, &out));
     match looking.await.map_err(RunError::Finishing)? {
         Ok(listing) => Ok(listing.entries),
         Err(CorpusError::Empty { .. }) => Ok(Vec::new()),

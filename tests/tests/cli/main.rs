@@ -4,7 +4,8 @@
 //! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `evaluate`,
 //! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`, `tradeoff`: the commands and flags of these names.
 //! `learned`: the profile `reference` and SEA-RAFT's flow, over models of random weights. `cascade`: budgets.
-//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers.
+//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers. `datasets`: the
+//! same as sources.
 //! `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
@@ -17,6 +18,7 @@
 )]
 
 mod cascade;
+mod datasets;
 mod evaluate;
 mod explain;
 mod faults;

@@ -13,6 +13,7 @@
 )]
 
 mod cascade;
+mod datasets;
 mod dead;
 mod learned;
 mod resume;

@@ -12,10 +12,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use plumbline_common::message::{Job, Location, ObjectLocation};
+use plumbline_common::message::{Job, ObjectLocation, Part};
 use plumbline_common::row::Measurement;
 use plumbline_common::store::{
-    ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_to_file,
+    ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_range_to_file,
 };
 use serde::Deserialize;
 use tempfile::TempPath;
@@ -23,7 +23,7 @@ use tokio::sync::{Mutex, OnceCell};
 
 use self::scratch::Scratch;
 use crate::learned::{ModelPlaces, ModelSettings, ModelSource, SourceError};
-use crate::measure::read::ReadError;
+use crate::measure::read::{ReadError, byte_range};
 use crate::profile::Profile;
 
 /// Stores kept open: jobs name their bucket, and nobody says how many there are.
@@ -48,7 +48,7 @@ struct Shared {
 /// A job whose bytes are on this machine.
 #[derive(Debug)]
 pub struct Fetched {
-    /// The copy of an object, removed when dropped; files are read where they are.
+    /// The copy of an object, or of some of it, removed when dropped; files are read where they are.
     copy: Option<TempPath>,
     /// Bytes read from a store.
     pub bytes: u64,
@@ -157,7 +157,8 @@ impl Fetcher {
         stores.insert(bucket.to_owned(), store);
     }
 
-    /// Brings the bytes of `job` here, if they are an object's.
+    /// Brings the bytes of `job` here, if they are an object's: of a tar's member its own alone, of an episode
+    /// in a longer video the whole video.
     ///
     /// # Errors
     /// [`FetchError`], with the row that the video gets if nobody tries again.
@@ -165,9 +166,9 @@ impl Fetcher {
         let started = Instant::now();
         let models = self.models(&job.profile).await;
         let models = models.map_err(|error| no_models(job, error))?;
-        let (copy, bytes) = match &job.location {
-            Location::File(_) | Location::ImageSequence(_) => (None, 0),
-            Location::Object(object) => (Some(self.copy(job, object).await?), job.bytes),
+        let (copy, bytes) = match job.location.object() {
+            None => (None, 0),
+            Some(object) => (Some(self.copy(job, object).await?), job.bytes_read()),
         };
         Ok(Fetched {
             copy,
@@ -187,9 +188,9 @@ impl Fetcher {
             Err(elapsed) => elapsed,
         };
         let said = ReadError::NotRead {
-            object: match &job.location {
-                Location::Object(object) => object.to_string(),
-                Location::File(_) | Location::ImageSequence(_) => job.video.to_string(),
+            object: match job.location.object() {
+                Some(object) => object.to_string(),
+                None => job.video.to_string(),
             },
             why: "was not read within the time given to a video; score it again later, or raise --deadline"
                 .to_owned(),
@@ -220,8 +221,16 @@ impl Fetcher {
         // The words of a file that is too large.
         let limits = profile.limits;
         limits
-            .check_bytes(job.bytes)
+            .check_bytes(job.bytes_read())
             .map_err(|error| ended(error.into()))?;
+        let range = match job.location.part() {
+            Some(Part::Bytes { offset, bytes }) => byte_range(offset, bytes, job.bytes)
+                .ok_or_else(|| {
+                    let path = object.to_string();
+                    ended(ReadError::Outside { path })
+                })?,
+            Some(Part::Interval { .. }) | None => 0..job.bytes,
+        };
         let key = ObjectKey::new(&object.key).map_err(|error| failed(error.into()))?;
         let meta = ObjectMeta {
             key,
@@ -236,7 +245,7 @@ impl Fetcher {
             .scratch
             .get_or_try_init(|| Scratch::below(parent));
         let path = scratch.await.map_err(failed)?.new_path().map_err(failed)?;
-        fetch_to_file(&*store, &meta, limits.max_bytes, &path)
+        fetch_range_to_file(&*store, &meta, range, limits.max_bytes, &path)
             .await
             .map_err(failed)?;
         Ok(path)

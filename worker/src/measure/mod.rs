@@ -144,7 +144,7 @@ fn measured(
                 Err(refused) => refused.row(),
             };
             row.digest = Some(input.digest.clone());
-            row.bytes = Some(job.bytes);
+            row.bytes = Some(job.bytes_read());
             row
         }
         (Err(error), _) => error.row(job),
@@ -291,12 +291,13 @@ impl ReadError {
     pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
+            Self::Outside { .. } => Status::Undecodable,
             Self::Changed { .. } | Self::NotRead { .. } | Self::Profile(_) | Self::Models(_) => {
                 Status::Failed
             }
         };
         let mut row = Measurement::without_score(status, self.to_string());
-        row.bytes = Some(job.bytes);
+        row.bytes = Some(job.bytes_read());
         row
     }
 }
