@@ -120,7 +120,14 @@ fn shard(files: &[(&str, &[u8])]) -> Vec<u8> {
     let mut tar = Builder::new(Vec::new());
     for (name, content) in files {
         let mut header = header(EntryType::Regular, content.len() as u64);
-        tar.append_data(&mut header, name, *content).unwrap();
+        // The library that writes here leaves the `./` of `tar -c .` out.
+        if name.starts_with("./") {
+            header.as_old_mut().name[..name.len()].copy_from_slice(name.as_bytes());
+            header.set_cksum();
+            tar.append(&header, *content).unwrap();
+        } else {
+            tar.append_data(&mut header, name, *content).unwrap();
+        }
     }
     tar.into_inner().unwrap()
 }
