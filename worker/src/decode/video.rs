@@ -123,6 +123,11 @@ impl Source {
                 "the index (moov box) is missing or cut: the recording or the copy stopped early; re-copy the file",
             ));
         }
+        if structure.overstates_samples {
+            return Err(DecodeError::undecodable(
+                "its tables claim more pictures than the file has bytes: damaged; re-copy the file",
+            ));
+        }
         let mut input = ffi::open(bytes, container.demuxer())
             .map_err(|error| DecodeError::undecodable(explain_open(error, container, structure)))?;
         let stream = choose_stream(&input).ok_or(DecodeError::NoVideoStream)?;

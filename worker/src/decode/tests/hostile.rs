@@ -176,6 +176,17 @@ fn fragmented() -> Vec<u8> {
     super::encode(&options, 10, 64, 48).expect("own encoder")
 }
 
+/// FFmpeg would reserve gigabytes for what two kilobytes claim.
+#[test]
+fn tables_that_claim_more_samples_than_there_are_bytes_are_refused() {
+    // Where the count stands after the table's name.
+    for (mut bytes, table, count_at) in [(fragmented(), b"trun", 8), (small("mp4"), b"stsz", 12)] {
+        let at = find(&bytes, table) + count_at;
+        bytes[at..at + 4].copy_from_slice(&(5_u32 << 24).to_be_bytes());
+        assert!(reason(decode(&bytes).0).contains("more pictures than the file has bytes"));
+    }
+}
+
 /// A cut clip is never scored, wherever the cut is.
 #[test]
 fn no_truncation_passes() {
