@@ -41,6 +41,7 @@ fn point(name: &str, cpu_s: f64, spearman: f64, flips: u64, wall_s: f64) -> Poin
         faults: None,
         cost_model: None,
         plan: Some(Plan {
+            basis: Basis::Headers,
             cpu_s: 4.0 * wall_s,
             cpu_interval_90_s: (3.6 * wall_s, 4.4 * wall_s),
             wall_s,
@@ -70,6 +71,11 @@ fn found(hours: f64) -> Tradeoff {
         keep: "80%".to_owned(),
         top_uncertain: 7,
         question,
+        planned: PlannedVideos {
+            videos: 1200,
+            headers_read: 1000,
+            headers_silent: 1,
+        },
         waiting: 1.0,
         points,
         recommended,

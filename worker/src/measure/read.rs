@@ -205,7 +205,11 @@ fn changed(path: impl std::fmt::Display) -> ReadError {
 }
 
 /// The file of `job`, in the version that was listed; what is read of it is within the limit.
-pub(super) fn open_unchanged(path: &Path, job: &Job, limits: &DecodeLimits) -> Result<File, ReadError> {
+pub(super) fn open_unchanged(
+    path: &Path,
+    job: &Job,
+    limits: &DecodeLimits,
+) -> Result<File, ReadError> {
     let file = File::open(path).map_err(io_error(path))?;
     let version = version_of(&file).map_err(io_error(path))?;
     if version != (job.bytes, job.modified_ns) {
@@ -240,7 +244,10 @@ pub(super) fn read_member(
     Ok(member)
 }
 
-pub(super) fn there<'a>(copy: Option<&'a Path>, object: &ObjectLocation) -> Result<&'a Path, ReadError> {
+pub(super) fn there<'a>(
+    copy: Option<&'a Path>,
+    object: &ObjectLocation,
+) -> Result<&'a Path, ReadError> {
     copy.ok_or_else(|| ReadError::NotRead {
         object: object.to_string(),
         why: "was not fetched before it was to be measured; report this defect".into(),

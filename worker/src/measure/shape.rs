@@ -46,9 +46,7 @@ fn shape(job: &Job, copy: Option<&Path>, profile: &Profile) -> Result<Option<Sha
         Some(Part::Bytes { .. }) | None => None,
     };
     let found = match &job.location {
-        Location::ImageSequence(path) => {
-            images_shape(&path_of(path), profile.sequence_fps, limits)
-        }
+        Location::ImageSequence(path) => images_shape(&path_of(path), profile.sequence_fps, limits),
         Location::Part(PartLocation {
             whole: Whole::File(path),
             part: Part::Bytes { offset, bytes },
