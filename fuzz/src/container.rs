@@ -34,4 +34,10 @@ pub(crate) fn target(bytes: &[u8]) {
     if let Ok(picture) = decode::decode_image(&path, &LIMITS) {
         assert_eq!(picture.data.len(), picture.width * picture.height * 3);
     }
+    let told = decode::video_shape(std::io::Cursor::new(bytes.to_vec()), None, &LIMITS);
+    if let Ok(Some(shape)) = told {
+        let pixels = u64::from(shape.width) * u64::from(shape.height);
+        assert!((1..=LIMITS.max_frames).contains(&shape.frames));
+        assert!((1..=LIMITS.max_pixels_per_frame).contains(&pixels));
+    }
 }

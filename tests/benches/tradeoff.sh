@@ -23,7 +23,7 @@ if [ ! -f "$data/manifest.csv" ]; then
     echo "no manifest.csv in $data: name the folder of the clips" >&2
     exit 2
 fi
-cargo build --release --locked --bin plumbline
+cargo build --release --locked --workspace --bin plumbline
 plumbline=$(realpath "$target/release/plumbline")
 mkdir -p "$work"
 # The list, which has the labels, too: what was generated is held to be the failure. Every k-th clip by name is
