@@ -169,17 +169,22 @@ impl Source {
     /// The limits of a whole video, from the header alone.
     pub(super) fn check_header(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
         self.check_size(limits)?;
-        limits.check_frames(self.header_frames().unwrap_or(0))?;
+        limits.check_frames(self.stated_frames(self.declared).unwrap_or(0))?;
         limits.check_duration(self.header_duration_s().unwrap_or(0.0))
     }
 
-    /// Frames, where the header counts them.
+    /// Frames that are to be shown, where the header counts them.
     pub(super) fn header_frames(&self) -> Option<u64> {
+        self.stated_frames(self.declared.map(|_| self.header.shown_entries))
+    }
+
+    /// Frames, `in_index` where there is one with a count.
+    fn stated_frames(&self, in_index: Option<u64>) -> Option<u64> {
         if self.structure.has_placeholders {
             return None;
         }
         let stated = || u64::try_from(self.input.stream(self.stream)?.frames()).ok();
-        let frames = self.structure.frames.or(self.declared).or_else(stated);
+        let frames = self.structure.frames.or(in_index).or_else(stated);
         frames.filter(|&frames| frames > 0)
     }
 
