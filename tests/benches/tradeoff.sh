@@ -3,18 +3,21 @@
 # of it, and whether the planner's times come true: writes tests/benches/results/tradeoff-DATE.md, and the table in
 # README.md.
 #
-#   tradeoff.sh [DATA=../shared/data]
+#   tradeoff.sh [DATA=../shared/data [WORDS...]]
 #
 # DATA holds manifest.csv (columns path and label) and rollouts/. HELD_OUT (default 60) of the clips are held out;
 # of the others `plumbline tradeoff` measures a sample of SAMPLE (default 40) at every point, and plans for the
 # held-out ones (--plan-for), of which it reads the headers alone: all of them at draft and standard, a third at
-# accurate. Then these are measured. RENDERED (default 1) corpora are rendered for the truth; README=no leaves
-# README.md as it is, RESULT is the file that is written.
+# accurate. Then these are measured. RENDERED (default 1) corpora are rendered for the truth; WORDS go to
+# `plumbline tradeoff` (--no-rendered, say, to try the script). README=no leaves README.md as it is, RESULT is the
+# file that is written.
 # Measurements are kept in target/tradeoff (or WORK): remove it for times of one build and one machine state.
 # JOBS (default 2) is the number of clips measured at once. Needs python3.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 data=$(realpath "${1:-../shared/data}")
+shift || true
+words=("$@")
 jobs=${JOBS:-2}
 target=${CARGO_TARGET_DIR:-target}
 work=${WORK:-$target/tradeoff}
@@ -51,7 +54,7 @@ tradeoff() { # NAME WORDS...
     local name=$1
     shift
     "$plumbline" tradeoff "$work/list.csv" --out "$work/out" --sample "${SAMPLE:-40}" --labels "$work/list.csv" \
-        --rendered "${RENDERED:-1}" --jobs "$jobs" --cores "$jobs" --json "$@" >"$work/$name.json" 2> >(tee "$work/$name.log" >&2)
+        --rendered "${RENDERED:-1}" --jobs "$jobs" --cores "$jobs" --json "${words[@]}" "$@" >"$work/$name.json" 2> >(tee "$work/$name.log" >&2)
 }
 # The first one measures; the others plan by the same measurements.
 tradeoff tradeoff

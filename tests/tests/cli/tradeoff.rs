@@ -5,7 +5,7 @@ use std::path::Path;
 use plumbline_tests::binary::plumbline;
 use plumbline_tests::clips;
 use plumbline_tests::run::{Ended, Place, Started};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// A name that a page, a terminal and a file system must survive.
 const HOSTILE: &str = "<img src=x onerror=alert(1)>&\"'";
@@ -228,7 +228,7 @@ fn a_plan_knows_lengths_and_sizes_from_headers() {
     assert_eq!((sampled.len(), others.len()), (4, 6));
     for point in told["points"].as_array().unwrap() {
         let number = |place: &str| point.pointer(place).and_then(Value::as_f64).unwrap();
-        let model_s = |row: &Value| {
+        let model_s = |row: &Map<String, Value>| {
             let of = |name: &str| row[name].as_f64();
             let (Some(frames), Some(width), Some(height)) =
                 (of("frames"), of("width"), of("height"))
@@ -242,7 +242,7 @@ fn a_plan_knows_lengths_and_sizes_from_headers() {
                 + number("/cost_model/measure_s_per_mpx") * measured
                 + number("/cost_model/adjust_s_per_mpx") * parallax * measured
         };
-        let sum = |rows: &[Value]| rows.iter().map(model_s).sum::<f64>();
+        let sum = |rows: &[Map<String, Value>]| rows.iter().map(model_s).sum::<f64>();
         let spent_s = 4.0 * number("/cpu_s_per_video");
         let twin_s = sum(&others) * spent_s / sum(&sampled);
         let planned_s = number("/plan/cpu_s");
