@@ -27,7 +27,7 @@ for program in "$built" "$target/release/examples/cascade_curve"; do
 done
 plumbline=$work/plumbline
 
-rendered=$work/rendered
+rendered=$work/clips
 for seed in $(seq 1 "${SEEDS:-10}"); do
     [ -f "$rendered/$seed/labels.csv" ] || "$plumbline" sample --out "$rendered/$seed" --seed "$seed" --no-dense-truth >&2
 done
