@@ -104,6 +104,22 @@ fn the_best_point_that_is_done_in_time_is_recommended() {
 }
 
 #[test]
+fn what_times_go_by_is_told() {
+    let mut found = found(12.0);
+    assert_eq!(
+        reach(&found),
+        "times are planned by the lengths and sizes in the headers of 999 of 1,200 videos"
+    );
+    for point in &mut found.points {
+        point.plan = point.plan.map(|plan| Plan {
+            basis: Basis::Mean,
+            ..plan
+        });
+    }
+    assert!(reach(&found).contains("by the mean of the sample"));
+}
+
+#[test]
 fn a_point_off_the_front_is_not_recommended() {
     let mut points = found(12.0).points;
     points[2].on_front = false;
