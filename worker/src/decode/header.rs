@@ -1,4 +1,4 @@
-//! Length and size of a video from its header alone: no codec runs and no picture is read.
+//! Length and size of a video from its header alone: no picture is read.
 //!
 //! A header may be wrong where decoding would tell; this is for planning, not for measuring.
 
@@ -51,10 +51,17 @@ pub fn video_shape(
     };
     let header = source.header;
     let orientation = source.orientation.unwrap_or(Orientation::UPRIGHT);
-    let coded_width = u32::try_from(header.width).unwrap_or(u32::MAX);
+    let (coded_width, height) = match (header.width, header.height) {
+        // Some codecs state the size in their own header only (MPEG-4).
+        (0, _) | (_, 0) => {
+            let opened = source.decoder(limits)?;
+            (opened.width(), opened.height().into())
+        }
+        (width, height) => (u32::try_from(width).unwrap_or(u32::MAX), height),
+    };
     let width = square_width(coded_width, aspect(header.pixel_aspect));
-    limits.check_size(width, header.height)?;
-    let (width, height) = orientation.presented_size(width as usize, header.height as usize);
+    limits.check_size(width, height)?;
+    let (width, height) = orientation.presented_size(width as usize, height as usize);
     Ok(frames.and_then(|frames| shape(frames, width, height)))
 }
 

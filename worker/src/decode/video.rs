@@ -206,7 +206,7 @@ impl Source {
         (rate > 0.0).then_some(rate)
     }
 
-    fn decoder(&self, limits: &DecodeLimits) -> Result<decoder::Video, DecodeError> {
+    pub(super) fn decoder(&self, limits: &DecodeLimits) -> Result<decoder::Video, DecodeError> {
         let stream = self
             .input
             .stream(self.stream)
