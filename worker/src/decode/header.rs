@@ -1,6 +1,7 @@
 //! Length and size of a video from its header alone: no picture is read.
 //!
-//! A header may be wrong where decoding would tell; this is for planning, not for measuring.
+//! A header may be wrong where decoding would tell; this is for planning, not for measuring. What it claims is
+//! bounded by the compute child's memory, as everything here is.
 
 use std::io::{Read, Seek};
 
