@@ -6,7 +6,7 @@ mod support;
 use std::time::Duration;
 
 use plumbline_common::store::{
-    Access, DirStore, ObjectStore, S3Options, S3Store, StoreError, fetch, probe,
+    Access, DirStore, ObjectStore, S3Options, S3Store, StoreError, fetch, fetch_ends_to_file, probe,
 };
 use support::faulty_proxy::{Fault, FaultyProxy};
 use support::store_contract::{content, keeps_the_contract, key};
@@ -50,6 +50,32 @@ async fn a_directory_refuses_keys_that_leave_it_and_hides_partial_files() {
         .await
         .unwrap();
     assert_eq!(listed.len(), 1);
+}
+
+#[tokio::test]
+async fn ends_of_a_part_lie_at_their_places() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = DirStore::new(dir.path().join("root"));
+    let whole = content(10_000);
+    store.put(&key("a"), whole.clone()).await.unwrap();
+    let meta = store.head(&key("a")).await.unwrap();
+    for (number, (range, end_bytes)) in
+        [(0..10_000, 100), (500..9_000, 3_000), (7..20, 9), (3..3, 9)]
+            .into_iter()
+            .enumerate()
+    {
+        let file = dir.path().join(number.to_string());
+        let part = range.start as usize..range.end as usize;
+        fetch_ends_to_file(&store, &meta, range, end_bytes, &file)
+            .await
+            .unwrap();
+        let mut expected = whole[part].to_vec();
+        let (end, bytes) = (end_bytes as usize, expected.len());
+        if end < bytes.saturating_sub(end) {
+            expected[end..bytes - end].fill(0);
+        }
+        assert_eq!(std::fs::read(&file).unwrap(), expected, "{number}");
+    }
 }
 
 #[tokio::test]

@@ -1,5 +1,6 @@
 //! Videos and pictures: sniffing, structure, headers, and the first frames.
 
+use std::io::Cursor;
 use std::ops::ControlFlow;
 
 use plumbline_worker::decode::{self, DecodeLimits};
@@ -29,6 +30,13 @@ pub(crate) fn target(bytes: &[u8]) {
     if let Ok(info) = decoded {
         assert_eq!(info.frames, frames);
         assert!(u64::from(info.width) * u64::from(info.height) <= LIMITS.max_pixels_per_frame);
+        // Of a file that is not decoded, headers may claim what only a child's memory limit bounds.
+        let told = decode::video_shape(Cursor::new(bytes.to_vec()), None, &LIMITS);
+        if let Ok(Some(shape)) = told {
+            let pixels = u64::from(shape.width) * u64::from(shape.height);
+            assert!((1..=LIMITS.max_frames).contains(&shape.frames));
+            assert!((1..=LIMITS.max_pixels_per_frame).contains(&pixels));
+        }
     }
     let path = crate::as_file("0001.png", bytes);
     if let Ok(picture) = decode::decode_image(&path, &LIMITS) {

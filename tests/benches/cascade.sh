@@ -9,7 +9,7 @@
 # these the cascade is gone through by the program's own code over many draws of the sample
 # (coordinator/examples/cascade_curve.rs), which judges only videos outside the sample that fits the model;
 # then one real `--budget auto` run of each corpus is held against the full ones. SEEDS (default 10) times 24
-# clips are rendered. Needs python3.
+# clips are rendered; RESULT is the file that is written. Needs python3.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source=$(realpath "${1:-../shared/data/rollouts}")
@@ -27,7 +27,7 @@ for program in "$built" "$target/release/examples/cascade_curve"; do
 done
 plumbline=$work/plumbline
 
-rendered=$work/rendered
+rendered=$work/clips
 for seed in $(seq 1 "${SEEDS:-10}"); do
     [ -f "$rendered/$seed/labels.csv" ] || "$plumbline" sample --out "$rendered/$seed" --seed "$seed" --no-dense-truth >&2
 done
@@ -62,7 +62,7 @@ PY
 }
 
 mkdir -p tests/benches/results
-result=tests/benches/results/cascade-$(date +%F).md
+result=${RESULT:-tests/benches/results/cascade-$(date +%F).md}
 {
     echo "# The cascade: agreement against cost"
     echo

@@ -17,6 +17,7 @@ use plumbline_common::row::Measurement;
 use plumbline_worker::child::{Drawing, SlotError};
 use plumbline_worker::explain::{DrawJob, Marked, Subject};
 use plumbline_worker::measure::frames::FramesJob;
+use plumbline_worker::measure::shape::Told;
 use plumbline_worker::slam::SlamOutcome;
 use support::{as_object, clip, fetcher, file_job, profile, slot};
 
@@ -126,6 +127,10 @@ async fn every_question_to_a_child_works_on_an_object() {
     assert_eq!(of_object.len(), 1);
     assert_eq!(of_object, draw(&file).await);
 
+    let of_object = slot.shape(&object).await.unwrap();
+    assert!(matches!(of_object, Told::Shape(shape) if shape.frames == 8));
+    assert_eq!(of_object, slot.shape(&file).await.unwrap());
+
     let of_object = slot.track(&object).await.unwrap();
     match (&of_object, &slot.track(&file).await.unwrap()) {
         (SlamOutcome::Refused { reason, .. }, of_file) => {
@@ -136,6 +141,41 @@ async fn every_question_to_a_child_works_on_an_object() {
         }
         (_, SlamOutcome::Refused { reason, .. }) => panic!("{reason}"),
     }
+}
+
+/// The middle of a long object is not read: there lies what would not decode, and what nobody reads in a file.
+#[tokio::test]
+async fn of_an_object_only_the_ends_are_read_for_its_header() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, long) = (dir.path().join("a.mp4"), dir.path().join("long.mp4"));
+    clip(&path);
+    let bytes = fs::read(&path).unwrap();
+    let index = bytes.windows(4).position(|name| name == b"moov").unwrap() - 4;
+    // A box that players skip stands before the index, which lies at the end or is moved there.
+    const SKIPPED_BYTES: usize = 1 << 20;
+    let mut skipped = (SKIPPED_BYTES as u32).to_be_bytes().to_vec();
+    skipped.extend(b"free");
+    skipped.resize(SKIPPED_BYTES, 7);
+    let whole = [&bytes[..index], &skipped, &bytes[index..]].concat();
+    fs::write(&long, &whole).unwrap();
+    let fetcher = fetcher(dir.path(), &dir.path().join("scratch")).await;
+    let mut slot = slot(&fetcher);
+    let expected = slot.shape(&file_job("a", &path)).await.unwrap();
+    assert!(matches!(expected, Told::Shape(_)));
+    let file = file_job("long", &long);
+    let object = as_object(&file, "long.mp4");
+    assert_eq!(slot.shape(&file).await.unwrap(), expected);
+    assert_eq!(slot.shape(&object).await.unwrap(), expected);
+    // An index in the middle is not found, which says nothing of the video.
+    let tail = vec![7; SKIPPED_BYTES];
+    fs::write(&long, [&whole[..], &skipped[..8], &tail[8..]].concat()).unwrap();
+    let file = file_job("long", &long);
+    let object = as_object(&file, "long.mp4");
+    assert_eq!(slot.shape(&file).await.unwrap(), expected);
+    assert_eq!(slot.shape(&object).await.unwrap(), Told::Silent);
+    // What is not there is refused.
+    let gone = as_object(&file, "gone.mp4");
+    assert_eq!(slot.shape(&gone).await.unwrap(), Told::Refused);
 }
 
 #[tokio::test]

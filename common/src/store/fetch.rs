@@ -5,7 +5,7 @@ use std::path::Path;
 
 use bytes::Bytes;
 use futures_util::{Stream, TryStreamExt, stream};
-use tokio::io::AsyncWriteExt;
+use tokio::io::{AsyncSeekExt, AsyncWriteExt};
 
 use super::{ObjectMeta, ObjectStore, StoreError};
 
@@ -68,6 +68,39 @@ pub async fn fetch_range_to_file(
     let mut ranges = std::pin::pin!(ranges(store, meta, range));
     while let Some(range) = ranges.try_next().await? {
         out.write_all(&range).await.map_err(not_written)?;
+    }
+    out.flush().await.map_err(not_written)
+}
+
+/// The first and the last `end_bytes` of some bytes of an object, at their places in a new file of as many
+/// bytes; what lies between is empty (a hole, where the file system has such).
+///
+/// # Errors
+/// As [`fetch_to_file`].
+pub async fn fetch_ends_to_file(
+    store: &dyn ObjectStore,
+    meta: &ObjectMeta,
+    range: Range<u64>,
+    end_bytes: u64,
+    file: &Path,
+) -> Result<(), StoreError> {
+    let not_written = |source: std::io::Error| StoreError::LocalFile {
+        file: file.display().to_string(),
+        source,
+    };
+    let mut out = tokio::fs::File::create_new(file)
+        .await
+        .map_err(not_written)?;
+    let bytes = range.end - range.start;
+    out.set_len(bytes).await.map_err(not_written)?;
+    let head = 0..end_bytes.min(bytes);
+    let tail = head.end.max(bytes.saturating_sub(end_bytes))..bytes;
+    for part in [head, tail].into_iter().filter(|part| !part.is_empty()) {
+        let there = range.start + part.start..range.start + part.end;
+        let read = store.get_range(meta, there).await?;
+        let at = std::io::SeekFrom::Start(part.start);
+        out.seek(at).await.map_err(not_written)?;
+        out.write_all(&read).await.map_err(not_written)?;
     }
     out.flush().await.map_err(not_written)
 }

@@ -56,7 +56,8 @@ pub(super) const SAMPLE: &str = "Examples:
 
 pub(super) const TRADEOFF: &str = "Examples:
   plumbline tradeoff rollouts --out tradeoff
-  plumbline tradeoff rollouts --out tradeoff --sample 60 --keep 50% --videos 5000 --cores 64 --hours 8";
+  plumbline tradeoff rollouts --out tradeoff --sample 60 --keep 50% --videos 5000 --cores 64 --hours 8
+  plumbline tradeoff rollouts --out tradeoff --plan-for s3://bucket/next --cores 64";
 
 pub(super) const SLAM: &str = "Examples:
   plumbline slam walk.mp4 --out camera

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use plumbline_worker::decode::Shape;
 use plumbline_worker::profile::{Profile, Rung};
 
 use super::measuring::{ComputingArgs, SettingArgs};
@@ -16,7 +17,7 @@ use crate::reduce::select::KeepRule;
 use crate::reduce::{PAPER_BINS, ReduceOptions};
 use crate::run::RunError;
 use crate::tradeoff::{
-    self, Grid, GridPoint, PAGE_FILE, Rendering, Shape, TradeoffError, TradeoffOptions,
+    self, Grid, GridPoint, PAGE_FILE, Rendering, TradeoffError, TradeoffOptions,
 };
 
 /// Measures what each second buys: profiles and knobs on a sample of your videos and on rendered scenes
@@ -73,13 +74,16 @@ pub(super) struct TradeoffArgs {
     /// Size of all rendered clips [default: 256x192 with faults, 640x480 for flow, pose and depth]
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parse_size, conflicts_with = "no_rendered")]
     rendered_size: Option<(u32, u32)>,
-    /// Videos of the run to plan [default: all of SOURCE]
+    /// Videos of the run to plan, as SOURCE; again for more. Only their headers are read [default: SOURCE]
+    #[arg(long, value_name = "SOURCE")]
+    plan_for: Vec<String>,
+    /// How many these will be, of the same kinds [default: as many as there are]
     #[arg(long, value_name = "N")]
     videos: Option<u64>,
-    /// Frames of each [default: like the sample's]
-    #[arg(long, value_name = "N", requires = "size")]
+    /// Frames of each [default: what their headers say]
+    #[arg(long, value_name = "N", requires = "size", conflicts_with = "plan_for")]
     frames: Option<u32>,
-    /// Their size [default: like the sample's]
+    /// Their size [default: what their headers say]
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parse_size, requires = "frames")]
     size: Option<(u32, u32)>,
     /// Cores of the run to plan, each like one of this machine's [default: this machine's]
@@ -135,6 +139,7 @@ pub(super) fn run(args: TradeoffArgs) -> Result<u8, Failure> {
         say(&printable(line));
     }
     say(&printable(&tradeoff::sentence(&found)));
+    say(&tradeoff::reach(&found));
     if let Some(warning) = tradeoff::warning(&found) {
         say(&format!("note: {warning}"));
     }
@@ -244,6 +249,7 @@ impl TradeoffArgs {
             },
             labels: self.labels.map(|path| (path, self.label_column)),
             rendering: (!self.no_rendered).then_some(rendering),
+            planned: self.plan_for,
             videos: self.videos,
             shape: self
                 .frames

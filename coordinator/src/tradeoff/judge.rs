@@ -6,11 +6,13 @@ use plumbline_common::id::VideoId;
 use plumbline_common::row::{Cost, Scene, Status};
 
 use super::compare::{compare, foretells, uncertain};
+use super::cost_model::{self, Spent, Working};
 use super::front::{Bought, front};
-use super::plan::{self, Question, Shape, Spent, Working};
+use super::plan::{self, Costed, Question};
 use super::sample::Sampled;
 use super::{
-    PointMeasured, PointResult, Stages, Tradeoff, TradeoffError, TradeoffOptions, profile_to_type,
+    PlannedVideos, PointMeasured, PointResult, Shape, Shapes, Stages, Tradeoff, TradeoffError,
+    TradeoffOptions, profile_to_type,
 };
 use crate::run::RunError;
 
@@ -19,11 +21,13 @@ pub(super) fn judge(
     options: &TradeoffOptions,
     corpus_videos: usize,
     sample: &[Sampled],
+    shapes: &Shapes,
     labels: &BTreeMap<VideoId, f64>,
     measured: Vec<PointMeasured>,
 ) -> Result<Tradeoff, TradeoffError> {
+    let planned_videos = shapes.planned_videos;
     let question = Question {
-        videos: options.videos.unwrap_or(corpus_videos as u64),
+        videos: options.videos.unwrap_or(planned_videos as u64),
         shape: options.shape,
         cores: options.cores,
         hours: options.hours,
@@ -34,6 +38,8 @@ pub(super) fn judge(
     };
     let top_cpu_s = cpu_s_per_video(&top.costs);
     let top_uncertain = uncertain(&top.rows, keep).iter().filter(|&&u| u).count();
+    // All headers of a run over these very videos are known; a run over more has others like them.
+    let all = shapes.planned.len() == planned_videos && question.videos == planned_videos as u64;
     let mut points = Vec::new();
     for (index, of) in measured.iter().enumerate() {
         let profile = &of.point.profile;
@@ -41,7 +47,7 @@ pub(super) fn judge(
             height_px: profile.working_height_px,
             conditioning_frames: profile.conditioning_frames,
         };
-        let spent = spent(sample, of);
+        let costed = costed(shapes, of);
         let cpu_s = cpu_s_per_video(&of.costs);
         points.push(PointResult {
             name: of.point.name.clone(),
@@ -72,8 +78,8 @@ pub(super) fn judge(
             auroc_failure: foretells(&of.rows, labels),
             truth: of.known.as_ref().map(|known| known.truth),
             faults: of.known.as_ref().map(|known| known.faults.clone()),
-            cost_model: plan::fit(&spent, working),
-            plan: plan::plan(&spent, working, &question),
+            cost_model: cost_model::fit(costed.iter().map(|c| &c.spent), working),
+            plan: plan::plan(&costed, &shapes.planned, all, working, &question),
         });
     }
     let bought: Vec<Bought> = points
@@ -99,6 +105,11 @@ pub(super) fn judge(
         keep: keep.to_string(),
         top_uncertain,
         question,
+        planned: PlannedVideos {
+            videos: planned_videos,
+            headers_read: shapes.planned.len(),
+            headers_silent: shapes.silent(),
+        },
         waiting: waiting(&measured),
         points,
         recommended,
@@ -156,22 +167,26 @@ fn stages(costs: &[Cost], cpu_s_per_video: f64) -> Stages {
     }
 }
 
-fn spent(sample: &[Sampled], of: &PointMeasured) -> Vec<Spent> {
-    let rows = sample.iter().zip(&of.rows).zip(&of.costs);
-    rows.map(|((sampled, row), cost)| {
+/// The sample as its headers say it is and as it was measured.
+fn costed(shapes: &Shapes, of: &PointMeasured) -> Vec<Costed> {
+    let rows = shapes.sample.iter().zip(&of.rows).zip(&of.costs);
+    rows.map(|((&listed, row), cost)| {
         let m = &row.measured;
-        Spent {
-            shape: match (m.frames, m.width, m.height) {
-                (Some(frames), Some(width), Some(height)) => Some(Shape {
-                    frames,
-                    width,
-                    height,
-                }),
-                _ => None,
+        let decoded = match (m.frames, m.width, m.height) {
+            (Some(frames), Some(width), Some(height)) => Some(Shape {
+                frames,
+                width,
+                height,
+            }),
+            _ => None,
+        };
+        Costed {
+            listed,
+            spent: Spent {
+                decoded,
+                parallax: m.scene == Some(Scene::Parallax) && m.status != Status::Failed,
+                cpu_s: cost.cpu_s,
             },
-            parallax: m.scene == Some(Scene::Parallax) && m.status != Status::Failed,
-            weight: sampled.weight,
-            cpu_s: cost.cpu_s,
         }
     })
     .collect()

@@ -11,10 +11,12 @@
 
 mod camera;
 mod compare;
+mod cost_model;
 mod document;
 mod error;
 mod front;
 mod grid;
+mod headers;
 mod injected;
 mod judge;
 mod known;
@@ -36,6 +38,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use plumbline_common::row::{Cost, Row};
+use plumbline_worker::decode::Shape;
+use plumbline_worker::measure::shape::Told;
 use serde::Serialize;
 
 use crate::corpus::{self, Choice, Entry};
@@ -51,17 +55,19 @@ use crate::run::{RunError, STATE_DIRECTORY};
 use crate::stop::StopSignals;
 
 pub use compare::Agreement;
+pub use cost_model::CostModel;
 pub use error::TradeoffError;
 pub use grid::{Grid, GridPoint, points};
 pub use injected::FaultsFound;
-pub use plan::{CostModel, Plan, Question, Shape};
+pub use plan::{Basis, Plan, Question};
 pub use rendered::Rendering;
-pub use table::{sentence, table, warning};
+pub use table::{reach, sentence, table, warning};
 pub use truth::TruthErrors;
 
 use error::MIN_SAMPLE;
 use judge::judge;
 use known::Known;
+use plan::Listed;
 use sample::Sampled;
 
 /// The mark of a finished command.
@@ -96,9 +102,11 @@ pub struct TradeoffOptions {
     pub labels: Option<(PathBuf, String)>,
     /// What is rendered; nothing without.
     pub rendering: Option<Rendering>,
-    /// What is asked of the planner; as many videos as the corpus has without.
+    /// The videos of the run to plan, as typed; those of `sources` without.
+    pub planned: Vec<String>,
+    /// How many; as many as there are without.
     pub videos: Option<u64>,
-    /// Their length and size; like the sample's without.
+    /// Their length and size; as their headers say without.
     pub shape: Option<Shape>,
     /// Cores of the planned run.
     pub cores: u32,
@@ -127,12 +135,25 @@ pub struct Tradeoff {
     pub top_uncertain: usize,
     /// What was asked of the planner.
     pub question: Question,
+    /// Which videos that is about.
+    pub planned: PlannedVideos,
     /// Wall over processor time of all measurements: 1 on an idle machine.
     pub waiting: f64,
     /// The points, the cheapest first.
     pub points: Vec<PointResult>,
     /// Name of the point that the question's hours allow, the best of the front.
     pub recommended: Option<String>,
+}
+
+/// The videos that are planned for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct PlannedVideos {
+    /// How many there are.
+    pub videos: usize,
+    /// Of so many the header was read, all or a sample.
+    pub headers_read: usize,
+    /// So many of these do not say how long or how large the video is.
+    pub headers_silent: usize,
 }
 
 /// Seconds of processor time per video, by the wall time of stages.
@@ -211,6 +232,19 @@ pub async fn tradeoff(options: &TradeoffOptions) -> Result<Tradeoff, TradeoffErr
         let readable = sample.len();
         return Err(TradeoffError::TooFew { readable });
     }
+    let planned = match &options.planned[..] {
+        [] => listing.entries.clone(),
+        sources => {
+            // Groups may be columns of the other list.
+            let choice = Choice {
+                group_by: None,
+                ..options.choice.clone()
+            };
+            corpus::freeze_anywhere(sources, &choice, &out_text, s3)
+                .await?
+                .entries
+        }
+    };
     let out = OutDir::create(&options.out)?;
     if out.root().join(CORPUS_FILE).exists() {
         let out = options.out.display().to_string();
@@ -225,8 +259,10 @@ pub async fn tradeoff(options: &TradeoffOptions) -> Result<Tradeoff, TradeoffErr
     }
     out.sweep_partials()?;
     let measuring = async {
+        let shapes = Shapes::read(options, &sample, &planned).await?;
         let measured = measure_all(options, &sample, &state).await?;
-        let found = judge(options, listing.entries.len(), &sample, &labels, measured)?;
+        let corpus_videos = listing.entries.len();
+        let found = judge(options, corpus_videos, &sample, &shapes, &labels, measured)?;
         publish(options, &out, &found)?;
         Ok(found)
     };
@@ -234,6 +270,46 @@ pub async fn tradeoff(options: &TradeoffOptions) -> Result<Tradeoff, TradeoffErr
     tokio::select! {
         found = measuring => found,
         () = stop.recv() => Err(TradeoffError::Interrupted),
+    }
+}
+
+/// What headers say.
+struct Shapes {
+    /// Of the sample.
+    sample: Vec<Listed>,
+    /// Of the videos that are planned for, or of some of them.
+    planned: Vec<Listed>,
+    /// How many are planned for.
+    planned_videos: usize,
+}
+
+impl Shapes {
+    /// Reads them, within the limits of the top point.
+    async fn read(
+        options: &TradeoffOptions,
+        sample: &[Sampled],
+        planned: &[Entry],
+    ) -> Result<Self, TradeoffError> {
+        let drawn = sample::draw(planned, headers::MOST_HEADERS, options.seed);
+        let Some(top) = options.points.last() else {
+            return Err(TradeoffError::OnePoint);
+        };
+        say(&format!(
+            "headers of {} of {} videos",
+            drawn.len(),
+            planned.len()
+        ));
+        let read = async |videos| headers::read(videos, &top.profile, &options.slots).await;
+        Ok(Self {
+            sample: read(sample).await?,
+            planned: read(&drawn).await?,
+            planned_videos: planned.len(),
+        })
+    }
+
+    fn silent(&self) -> usize {
+        let planned = self.planned.iter();
+        planned.filter(|l| l.told == Told::Silent).count()
     }
 }
 

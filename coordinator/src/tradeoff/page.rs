@@ -65,7 +65,8 @@ fn answer(found: &Tradeoff) -> Section {
                         h3 { "How far the sample reaches" }
                         p {
                             (text::length(found.sample.len())) " of " (text::length(found.corpus_videos))
-                            " videos were measured at every point. Intervals of time and flips are 90%, from this sample alone."
+                            " videos were measured at every point. Intervals of time and flips are 90%, from this sample alone; "
+                            (table::reach(found)) "."
                         }
                     }
                 }

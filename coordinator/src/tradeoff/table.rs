@@ -2,7 +2,9 @@
 
 use comfy_table::{CellAlignment, Table, presets};
 
-use super::{PointResult, Question, Shape, Tradeoff};
+use plumbline_worker::decode::Shape;
+
+use super::{Basis, PointResult, Question, Tradeoff};
 
 const HOUR_S: f64 = 3600.0;
 const MINUTE_S: f64 = 60.0;
@@ -140,6 +142,25 @@ pub fn sentence(found: &Tradeoff) -> String {
         ),
         None => format!("nothing was measured that {asked} could be planned by"),
     }
+}
+
+/// What the planned times go by.
+#[must_use]
+pub fn reach(found: &Tradeoff) -> String {
+    let planned = &found.planned;
+    let known = planned.headers_read - planned.headers_silent;
+    let by_headers = |plan: super::Plan| plan.basis == Basis::Headers;
+    if found.question.shape.is_some() {
+        return "times are planned for the length and size given".to_owned();
+    }
+    if !found.points.iter().filter_map(|p| p.plan).any(by_headers) {
+        return "times are planned by the mean of the sample, since headers do not say how long and large the videos are; with --frames and --size they are nearer".to_owned();
+    }
+    format!(
+        "times are planned by the lengths and sizes in the headers of {} of {} videos",
+        thousands(known as u64),
+        thousands(planned.videos as u64)
+    )
 }
 
 /// What to know of the times, where there is something.

@@ -41,6 +41,7 @@ fn point(name: &str, cpu_s: f64, spearman: f64, flips: u64, wall_s: f64) -> Poin
         faults: None,
         cost_model: None,
         plan: Some(Plan {
+            basis: Basis::Headers,
             cpu_s: 4.0 * wall_s,
             cpu_interval_90_s: (3.6 * wall_s, 4.4 * wall_s),
             wall_s,
@@ -70,6 +71,11 @@ fn found(hours: f64) -> Tradeoff {
         keep: "80%".to_owned(),
         top_uncertain: 7,
         question,
+        planned: PlannedVideos {
+            videos: 1200,
+            headers_read: 1000,
+            headers_silent: 1,
+        },
         waiting: 1.0,
         points,
         recommended,
@@ -95,6 +101,22 @@ fn the_best_point_that_is_done_in_time_is_recommended() {
     assert!(middle.contains("3.0 h (2.7 h to 3.3 h)"), "{middle}");
     assert!(told(12.0).contains("no flips"));
     assert!(told(0.5).contains("the cheapest, profiles/low.toml, takes about 60 min"));
+}
+
+#[test]
+fn what_times_go_by_is_told() {
+    let mut found = found(12.0);
+    assert_eq!(
+        reach(&found),
+        "times are planned by the lengths and sizes in the headers of 999 of 1,200 videos"
+    );
+    for point in &mut found.points {
+        point.plan = point.plan.map(|plan| Plan {
+            basis: Basis::Mean,
+            ..plan
+        });
+    }
+    assert!(reach(&found).contains("by the mean of the sample"));
 }
 
 #[test]

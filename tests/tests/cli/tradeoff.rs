@@ -5,7 +5,7 @@ use std::path::Path;
 use plumbline_tests::binary::plumbline;
 use plumbline_tests::clips;
 use plumbline_tests::run::{Ended, Place, Started};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// A name that a page, a terminal and a file system must survive.
 const HOSTILE: &str = "<img src=x onerror=alert(1)>&\"'";
@@ -152,6 +152,7 @@ fn the_table_the_page_and_the_plan_of_a_small_sample() {
         let planned_s = point["plan"]["cpu_s"].as_f64().unwrap();
         // Proportional shares of 6 and 2 videos are 4.5 and 1.5, so that weights are near 1.
         assert!((planned_s / (1000.0 * each_s) - 1.0).abs() < 0.5);
+        assert_eq!(point["plan"]["basis"], "headers");
         assert!(point["plan"]["wall_s"].as_f64().unwrap() > planned_s / 4.0);
         assert!(point["truth"].is_null() && point["faults"].is_null());
     }
@@ -183,6 +184,74 @@ fn the_table_the_page_and_the_plan_of_a_small_sample() {
     alone.extend(["--jobs", "1"]);
     let other = tradeoff(&place, "other", &alone).expect_code(0).json();
     assert_eq!(without_times(other), without_times(told));
+}
+
+/// The plan goes by the headers of the planned videos; the slow twin decodes every one of them, and goes by what
+/// was decoded.
+#[test]
+fn a_plan_knows_lengths_and_sizes_from_headers() {
+    let place = Place::new();
+    write_points(&place);
+    for seed in 0..6 {
+        let frames = clips::frames(&clips::spec(seed));
+        let count = 8 + 2 * seed as usize;
+        let directory = if seed < 4 { "videos" } else { "others" };
+        let path = place.path(&format!("{directory}/{seed}.mp4"));
+        clips::write(&path, &frames[..count.min(frames.len())]);
+    }
+    let twice = clips::frames(&clips::spec(6));
+    clips::write(
+        &place.path("others/long.mp4"),
+        &[twice.clone(), twice].concat(),
+    );
+    let large: Vec<_> = (0..9).map(|k| clips::moving_squares(320, 160, k)).collect();
+    clips::write(&place.path("others/large.mp4"), &large);
+    clips::write_images(&place.path("others/images"), &large[..7]);
+    // Refused: they cost nothing.
+    std::fs::write(place.path("others/none.mp4"), "text").unwrap();
+
+    let words = ["--no-rendered", "--plan-for", "others", "--cores", "2"];
+    let told = tradeoff(&place, "out", &words).expect_code(0);
+    let told = told.expect_line(&["headers of 6 of 6 videos"]).json();
+    assert_eq!(told["question"]["videos"], 6);
+    let planned = serde_json::json!({"videos": 6, "headers_read": 6, "headers_silent": 0});
+    assert_eq!(told["planned"], planned);
+
+    let decoded = |source: &str, out: &str| {
+        let mut command = place.command(plumbline());
+        command.args(["score", source, "--out", out, "--profile", "low.toml"]);
+        Started::start(&mut command).wait();
+        place.published(out).parquet("scores.parquet")
+    };
+    let sampled = decoded("videos", "sampled");
+    let others = decoded("others", "scored");
+    assert_eq!((sampled.len(), others.len()), (4, 6));
+    for point in told["points"].as_array().unwrap() {
+        let number = |place: &str| point.pointer(place).and_then(Value::as_f64).unwrap();
+        let model_s = |row: &Map<String, Value>| {
+            let of = |name: &str| row[name].as_f64();
+            let (Some(frames), Some(width), Some(height)) =
+                (of("frames"), of("width"), of("height"))
+            else {
+                return 0.0;
+            };
+            let rows = number("/working_height_px");
+            let measured = (frames - 1.0) * rows * rows * width / height / 1e6;
+            let parallax = number("/cost_model/parallax_share");
+            number("/cost_model/decode_s_per_mpx") * frames * width * height / 1e6
+                + number("/cost_model/measure_s_per_mpx") * measured
+                + number("/cost_model/adjust_s_per_mpx") * parallax * measured
+        };
+        let sum = |rows: &[Map<String, Value>]| rows.iter().map(model_s).sum::<f64>();
+        let spent_s = 4.0 * number("/cpu_s_per_video");
+        let twin_s = sum(&others) * spent_s / sum(&sampled);
+        let planned_s = number("/plan/cpu_s");
+        // Sums in another order.
+        assert!(
+            (planned_s / twin_s - 1.0).abs() < 1e-9,
+            "{planned_s} {twin_s}"
+        );
+    }
 }
 
 /// Rendered scenes at a small size: finer flow is nearer to the truth, faults are told from clean clips.

@@ -16,7 +16,7 @@ use super::protocol::{Ask, Drawn, Request};
 use super::sandbox;
 use crate::explain::{self, Picture};
 use crate::learned::Loaded;
-use crate::measure::{Models, frames, measure_copy, measure_in_detail};
+use crate::measure::{Models, frames, measure_copy, measure_in_detail, shape};
 use crate::profile::Profile;
 use crate::slam;
 
@@ -68,6 +68,7 @@ pub fn run(memory_mib: u64) -> anyhow::Result<()> {
             }
             Ask::Track(job) => send(&mut stdout, &slam::track(&job, copy)?)?,
             Ask::Frames(job) => send(&mut stdout, &frames::sample(&job, copy)?)?,
+            Ask::Shape(job) => send(&mut stdout, &shape::told(&job, copy)?)?,
             Ask::Draw(job) => {
                 let mut hand_over =
                     |picture: Picture| Ok(send(&mut stdout, &Drawn::Picture(picture))?);

@@ -2,7 +2,8 @@
 //!
 //! One request, then its answer: an [`Outcome`](plumbline_common::message::Outcome) for `Measure`, a
 //! [`Detailed`](crate::measure::Detailed) for `Detail`, a [`SlamOutcome`](crate::slam::SlamOutcome) for
-//! `Track`, frames or the reason for none for `Frames`, for `Draw` any number of [`Drawn::Picture`] and one
+//! `Track`, frames or the reason for none for `Frames`, a
+//! [`Told`](crate::measure::shape::Told) for `Shape`, for `Draw` any number of [`Drawn::Picture`] and one
 //! [`Drawn::End`]. Both sides are the same binary, so the form may change with any version.
 
 use plumbline_common::message::Job;
@@ -37,6 +38,8 @@ pub(super) enum Ask {
     Draw(DrawJob),
     /// Some of its frames.
     Frames(FramesJob),
+    /// What its header says.
+    Shape(Job),
     /// Whether the networks of a profile (in its canonical form) load: nothing, or why not.
     Load(ByteBuf),
 }

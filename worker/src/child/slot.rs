@@ -24,6 +24,7 @@ use crate::explain::{DrawJob, Picture};
 use crate::fetch::{FetchError, FetchFailure, Fetched, Fetcher};
 use crate::measure::Detailed;
 use crate::measure::frames::{FramesJob, SampledFrames};
+use crate::measure::shape::Told;
 use crate::slam::SlamOutcome;
 
 /// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
@@ -278,6 +279,23 @@ impl ComputeSlot {
         };
         let (answer, _attempts) = self.ask(Ask::Frames(job.clone()), &fetched).await?;
         Ok(answer.and_then(|sampled| sampled))
+    }
+
+    /// What the header of one video says; of an object only its ends are read.
+    ///
+    /// # Errors
+    /// As [`Self::measure`].
+    pub async fn shape(&mut self, job: &Job) -> Result<Told, SlotError> {
+        let fetched = match self.fetcher.fetch_ends(job).await {
+            Ok(fetched) => fetched,
+            Err(error) if error.failure == FetchFailure::Passing => {
+                return Err(SlotError::Fetch(Box::new(error)));
+            }
+            Err(_) => return Ok(Told::Refused),
+        };
+        let (answer, _attempts) = self.ask(Ask::Shape(job.clone()), &fetched).await?;
+        // A header that ends two children says as little as one that says nothing.
+        Ok(answer.unwrap_or(Told::Silent))
     }
 
     /// Draws pictures of one video and hands each to `take`, which says whether to go on. Tried once,

@@ -95,6 +95,8 @@ pub(super) struct StreamHeader {
     pub(super) codec_tag: [u8; 4],
     /// Samples in the container's index: those that a reader will be given.
     pub(super) index_entries: u64,
+    /// Of these, samples that are to be shown: not an edit list's lead-in.
+    pub(super) shown_entries: u64,
     /// Width over height of a pixel; 0/x when undeclared.
     pub(super) pixel_aspect: (i32, i32),
 }
@@ -102,16 +104,23 @@ pub(super) struct StreamHeader {
 #[expect(unsafe_code, reason = "these fields have no safe accessor")]
 pub(super) fn stream_header(stream: &Stream<'_>) -> StreamHeader {
     // SAFETY: `stream` borrows an open input, so the stream and its codec parameters are live; the index
-    // count is a plain read.
+    // is only read, its entries below its count, and the call that gives one changes nothing (it takes a
+    // pointer to mutable for its result's sake).
     unsafe {
         let raw = stream.as_ptr();
+        let entries = ffi::avformat_index_get_entries_count(raw);
+        let is_shown = |&entry: &c_int| {
+            let entry = ffi::avformat_index_get_entry(raw.cast_mut(), entry);
+            !entry.is_null() && (*entry).flags() & ffi::AVINDEX_DISCARD_FRAME as c_int == 0
+        };
         let parameters = (*raw).codecpar;
         let size = |value: c_int| u64::try_from(value).unwrap_or(0);
         StreamHeader {
             width: size((*parameters).width),
             height: size((*parameters).height),
             codec_tag: (*parameters).codec_tag.to_le_bytes(),
-            index_entries: size(ffi::avformat_index_get_entries_count(raw)),
+            index_entries: size(entries),
+            shown_entries: (0..entries).filter(is_shown).count() as u64,
             pixel_aspect: (
                 (*raw).sample_aspect_ratio.num,
                 (*raw).sample_aspect_ratio.den,

@@ -9,9 +9,11 @@ use std::io::Cursor;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use plumbline_vision::image::Rgb8;
 
+use super::header::{Shape, shape};
 use super::{DecodeError, DecodeLimits, DecodedFrame, VideoInfo};
 
 /// Fewest numbered images that make a directory a clip: one image is a picture.
@@ -73,15 +75,7 @@ pub fn decode_images(
     limits: &DecodeLimits,
     on_frame: &mut dyn FnMut(DecodedFrame) -> ControlFlow<()>,
 ) -> Result<VideoInfo, DecodeError> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(DecodeError::InvalidRate { fps });
-    }
-    let images = ordered(dir)?;
-    check_steps(&images)?;
-    limits.check_frames(images.len() as u64)?;
-    limits.check_duration(images.len() as f64 / fps)?;
-    limits.check_bytes(total_bytes(&images)?)?;
-
+    let images = within_limits(dir, fps, limits)?;
     let mut first: Option<VideoInfo> = None;
     for (index, image) in images.iter().enumerate() {
         let (rgb, format, pixel_format) = read(image, limits)?;
@@ -113,6 +107,53 @@ pub fn decode_images(
         info.duration_s = Some(f64::from(info.frames) / fps);
     }
     Ok(info)
+}
+
+/// Number and size of the numbered images of `dir`, of which the first one's header alone is read.
+///
+/// # Errors
+/// As [`decode_images`], before the first image is decoded.
+pub fn images_shape(
+    dir: &Path,
+    fps: f64,
+    limits: &DecodeLimits,
+) -> Result<Option<Shape>, DecodeError> {
+    let images = within_limits(dir, fps, limits)?;
+    let Some(first) = images.first() else {
+        return Ok(None);
+    };
+    let (mut decoder, _) = open(first, limits)?;
+    let (mut width, mut height) = decoder.dimensions();
+    let orientation = decoder.orientation().map_err(damaged(first))?;
+    if is_on_its_side(orientation) {
+        (width, height) = (height, width);
+    }
+    Ok(shape(images.len() as u64, width as usize, height as usize))
+}
+
+fn is_on_its_side(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(
+        orientation,
+        Rotate90 | Rotate90FlipH | Rotate270 | Rotate270FlipH
+    )
+}
+
+/// The images in frame order, if they may be decoded.
+fn within_limits(
+    dir: &Path,
+    fps: f64,
+    limits: &DecodeLimits,
+) -> Result<Vec<NumberedImage>, DecodeError> {
+    if !(fps.is_finite() && fps > 0.0) {
+        return Err(DecodeError::InvalidRate { fps });
+    }
+    let images = ordered(dir)?;
+    check_steps(&images)?;
+    limits.check_frames(images.len() as u64)?;
+    limits.check_duration(images.len() as f64 / fps)?;
+    limits.check_bytes(total_bytes(&images)?)?;
+    Ok(images)
 }
 
 /// One png or jpeg file as presented (EXIF orientation applied), within the limits on bytes and size.
@@ -270,12 +311,43 @@ fn total_bytes(images: &[NumberedImage]) -> Result<u64, DecodeError> {
     Ok(total)
 }
 
-/// One image as presented (EXIF orientation applied), its format and its colour type. The size is checked
-/// before any pixel is decoded.
+/// One image as presented (EXIF orientation applied), its format and its colour type.
 fn read(
     image: &NumberedImage,
     limits: &DecodeLimits,
 ) -> Result<(Rgb8, ImageFormat, String), DecodeError> {
+    let (mut decoder, format) = open(image, limits)?;
+    let pixel_format = format!("{:?}", decoder.original_color_type()).to_lowercase();
+    let orientation = decoder.orientation().map_err(damaged(image))?;
+    let mut picture = DynamicImage::from_decoder(decoder).map_err(damaged(image))?;
+    picture.apply_orientation(orientation);
+    let rgb = picture.into_rgb8();
+    let (width, height) = (rgb.width() as usize, rgb.height() as usize);
+    Ok((
+        Rgb8 {
+            width,
+            height,
+            data: rgb.into_raw(),
+        },
+        format,
+        pixel_format,
+    ))
+}
+
+fn damaged(image: &NumberedImage) -> impl Fn(image::ImageError) -> DecodeError {
+    |error| {
+        DecodeError::undecodable(format!(
+            "{} does not decode ({error}); copy or render it again",
+            image.name
+        ))
+    }
+}
+
+/// A decoder of one image, whose size is checked before any pixel is decoded, and its format.
+fn open(
+    image: &NumberedImage,
+    limits: &DecodeLimits,
+) -> Result<(impl ImageDecoder + use<>, ImageFormat), DecodeError> {
     let bytes = fs::read(&image.path).map_err(|source| DecodeError::Io {
         path: image.path.clone(),
         source,
@@ -286,12 +358,6 @@ fn read(
             image.name
         )));
     }
-    let damaged = |error: image::ImageError| {
-        DecodeError::undecodable(format!(
-            "{} does not decode ({error}); copy or render it again",
-            image.name
-        ))
-    };
     let format = image::guess_format(&bytes)
         .ok()
         .filter(|f| matches!(f, ImageFormat::Png | ImageFormat::Jpeg));
@@ -305,24 +371,10 @@ fn read(
     let mut bounds = image::Limits::default();
     bounds.max_alloc = Some(limits.max_pixels_per_frame.saturating_mul(BYTES_PER_PIXEL));
     reader.limits(bounds);
-    let mut decoder = reader.into_decoder().map_err(damaged)?;
+    let decoder = reader.into_decoder().map_err(damaged(image))?;
     let (width, height) = decoder.dimensions();
     limits.check_size(width.into(), height.into())?;
-    let pixel_format = format!("{:?}", decoder.original_color_type()).to_lowercase();
-    let orientation = decoder.orientation().map_err(damaged)?;
-    let mut picture = DynamicImage::from_decoder(decoder).map_err(damaged)?;
-    picture.apply_orientation(orientation);
-    let rgb = picture.into_rgb8();
-    let (width, height) = (rgb.width() as usize, rgb.height() as usize);
-    Ok((
-        Rgb8 {
-            width,
-            height,
-            data: rgb.into_raw(),
-        },
-        format,
-        pixel_format,
-    ))
+    Ok((decoder, format))
 }
 
 #[cfg(test)]

@@ -9,11 +9,12 @@
 //! Files: [`mod@sniff`] (container by magic bytes), `structure` (does the file hold what its headers promise),
 //! `ffi` (all unsafe code), [`video`] (the decoding loop), `interval` (an episode of a longer video), `timeline`
 //! (presentation times), `convert` and
-//! `orient` (pixels), [`images`] (numbered images).
+//! `orient` (pixels), `header` (length and size without decoding), [`images`] (numbered images).
 
 mod convert;
 mod error;
 pub(crate) mod ffi;
+mod header;
 pub mod images;
 mod interval;
 mod orient;
@@ -29,7 +30,10 @@ use serde::{Deserialize, Serialize};
 
 pub(crate) use convert::{BT709, EXACT_BICUBIC, is_full_range_format};
 pub use error::{DecodeError, LimitKind};
-pub use images::{decode_image, decode_images, digest_images, image_files, is_image_sequence};
+pub use header::{Shape, video_shape};
+pub use images::{
+    decode_image, decode_images, digest_images, image_files, images_shape, is_image_sequence,
+};
 pub use interval::Interval;
 pub use sniff::{Container, sniff};
 pub use video::{decode_interval, decode_video};

@@ -35,6 +35,14 @@ pub(super) fn examine(container: Container, bytes: &[u8]) -> Structure {
     }
 }
 
+/// What the first bytes alone say: whether counts and lengths are placeholders.
+pub(super) fn of_head(container: Container, head: &[u8]) -> Structure {
+    Structure {
+        has_placeholders: container == Container::Avi && riff_chunks(head).has_placeholders,
+        ..Structure::default()
+    }
+}
+
 fn big_endian(bytes: &[u8]) -> u64 {
     bytes
         .iter()

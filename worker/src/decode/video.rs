@@ -59,20 +59,12 @@ pub fn decode_video(
 /// # Errors
 /// As [`decode_video`], of the frames of the interval alone; also where the file ends before it does.
 pub fn decode_interval(
-    mut file: File,
+    file: File,
     interval: Interval,
     limits: &DecodeLimits,
     on_frame: &mut dyn FnMut(DecodedFrame) -> ControlFlow<()>,
 ) -> Result<VideoInfo, DecodeError> {
-    let mut head = Vec::new();
-    let unread = |error: std::io::Error| {
-        DecodeError::undecodable(format!("the file does not read ({error}); copy it again"))
-    };
-    let mut few = (&mut file).take(sniff::SNIFF_BYTES as u64);
-    few.read_to_end(&mut head).map_err(unread)?;
-    file.rewind().map_err(unread)?;
-    let container = sniff(&head)?;
-    let source = Source::open(file, container, Structure::default())?;
+    let source = Source::of_unread(file)?;
     source.check_size(limits)?;
     limits.check_duration(interval.length_s())?;
     let window = Window::of(interval, source.time_base);
@@ -100,19 +92,34 @@ impl Container {
 }
 
 /// An open container and its chosen picture track.
-struct Source {
+pub(super) struct Source {
     input: Input,
     container: Container,
     structure: Structure,
     stream: usize,
-    header: StreamHeader,
+    pub(super) header: StreamHeader,
     time_base: Rational,
     /// Samples that the container's index promises; none where it has no such count.
     declared: Option<u64>,
-    orientation: Option<Orientation>,
+    pub(super) orientation: Option<Orientation>,
 }
 
 impl Source {
+    /// Opens a file of which no more is read than its header: whether it is cut is not told.
+    pub(super) fn of_unread(
+        mut file: impl Read + Seek + Send + 'static,
+    ) -> Result<Self, DecodeError> {
+        let mut head = Vec::new();
+        let unread = |error: std::io::Error| {
+            DecodeError::undecodable(format!("the file does not read ({error}); copy it again"))
+        };
+        let mut few = (&mut file).take(sniff::SNIFF_BYTES as u64);
+        few.read_to_end(&mut head).map_err(unread)?;
+        file.rewind().map_err(unread)?;
+        let container = sniff(&head)?;
+        Self::open(file, container, structure::of_head(container, &head))
+    }
+
     fn open(
         bytes: impl Read + Seek + Send + 'static,
         container: Container,
@@ -160,28 +167,36 @@ impl Source {
         f64::from(self.time_base.numerator()) / f64::from(self.time_base.denominator().max(1))
     }
 
-    fn check_size(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
+    pub(super) fn check_size(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
         limits.check_size(self.header.width, self.header.height)
     }
 
     /// The limits of a whole video, from the header alone.
-    fn check_header(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
+    pub(super) fn check_header(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
         self.check_size(limits)?;
-        if self.structure.has_placeholders {
-            return Ok(());
-        }
-        let stated = || u64::try_from(self.input.stream(self.stream)?.frames()).ok();
-        limits.check_frames(
-            self.structure
-                .frames
-                .or(self.declared)
-                .or_else(stated)
-                .unwrap_or(0),
-        )?;
+        limits.check_frames(self.stated_frames(self.declared).unwrap_or(0))?;
         limits.check_duration(self.header_duration_s().unwrap_or(0.0))
     }
 
-    fn header_duration_s(&self) -> Option<f64> {
+    /// Frames that are to be shown, where the header counts them.
+    pub(super) fn header_frames(&self) -> Option<u64> {
+        self.stated_frames(self.declared.map(|_| self.header.shown_entries))
+    }
+
+    /// Frames, `in_index` where there is one with a count.
+    fn stated_frames(&self, in_index: Option<u64>) -> Option<u64> {
+        if self.structure.has_placeholders {
+            return None;
+        }
+        let stated = || u64::try_from(self.input.stream(self.stream)?.frames()).ok();
+        let frames = self.structure.frames.or(in_index).or_else(stated);
+        frames.filter(|&frames| frames > 0)
+    }
+
+    pub(super) fn header_duration_s(&self) -> Option<f64> {
+        if self.structure.has_placeholders {
+            return None;
+        }
         let stream_ticks = self.input.stream(self.stream)?.duration();
         if stream_ticks > 0 {
             return Some(stream_ticks as f64 * self.tick_s());
@@ -190,7 +205,13 @@ impl Source {
         (whole > 0).then(|| whole as f64 / f64::from(ffmpeg_next::ffi::AV_TIME_BASE))
     }
 
-    fn decoder(&self, limits: &DecodeLimits) -> Result<decoder::Video, DecodeError> {
+    /// Frames per second, where the header states them.
+    pub(super) fn header_rate(&self) -> Option<f64> {
+        let rate = f64::from(self.input.stream(self.stream)?.avg_frame_rate());
+        (rate > 0.0).then_some(rate)
+    }
+
+    pub(super) fn decoder(&self, limits: &DecodeLimits) -> Result<decoder::Video, DecodeError> {
         let stream = self
             .input
             .stream(self.stream)
@@ -497,9 +518,8 @@ impl<'a> Run<'a> {
 
     /// Ticks between frames at the rate that the file states.
     fn nominal_interval(&self) -> Option<f64> {
-        let stream = self.source.input.stream(self.source.stream)?;
-        let rate = f64::from(stream.avg_frame_rate());
-        (rate > 0.0).then(|| 1.0 / (rate * self.source.tick_s()))
+        let rate = self.source.header_rate()?;
+        Some(1.0 / (rate * self.source.tick_s()))
     }
 
     /// Whether the clip came in full, and what it was.

@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 use plumbline_common::message::{Job, ObjectLocation, Part};
 use plumbline_common::row::Measurement;
 use plumbline_common::store::{
-    ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_range_to_file,
+    ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_ends_to_file,
+    fetch_range_to_file,
 };
 use serde::Deserialize;
 use tempfile::TempPath;
@@ -28,6 +29,10 @@ use crate::profile::Profile;
 
 /// Stores kept open: jobs name their bucket, and nobody says how many there are.
 const MAX_OPEN_STORES: usize = 64;
+
+/// Bytes read at either end of an object for its header alone: the index of an mp4 takes some twenty per frame,
+/// the header of other containers less than a thousand in all.
+const END_BYTES: u64 = 128 << 10;
 
 /// Where objects are read from and put meanwhile. Clones share both.
 #[derive(Debug, Clone)]
@@ -168,7 +173,10 @@ impl Fetcher {
         let models = models.map_err(|error| no_models(job, error))?;
         let (copy, bytes) = match job.location.object() {
             None => (None, 0),
-            Some(object) => (Some(self.copy(job, object).await?), job.bytes_read()),
+            Some(object) => {
+                let copy = self.copy(job, object, u64::MAX).await?;
+                (Some(copy), job.bytes_read())
+            }
         };
         Ok(Fetched {
             copy,
@@ -176,6 +184,19 @@ impl Fetcher {
             took: started.elapsed(),
             models,
         })
+    }
+
+    /// Brings no more than the first and last bytes of the job's object, where containers have their headers,
+    /// into a copy of its length with nothing between them.
+    ///
+    /// # Errors
+    /// As [`Self::fetch`].
+    pub(crate) async fn fetch_ends(&self, job: &Job) -> Result<Fetched, FetchError> {
+        let mut fetched = Fetched::of_models(None);
+        if let Some(object) = job.location.object() {
+            fetched.copy = Some(self.copy(job, object, END_BYTES).await?);
+        }
+        Ok(fetched)
     }
 
     /// The same, given up after `limit`: a store that trickles must not hold a slot for ever.
@@ -202,7 +223,13 @@ impl Fetcher {
         })
     }
 
-    async fn copy(&self, job: &Job, object: &ObjectLocation) -> Result<TempPath, FetchError> {
+    /// A copy of the object's bytes that the job reads, of no more than `end_bytes` at either end.
+    async fn copy(
+        &self,
+        job: &Job,
+        object: &ObjectLocation,
+        end_bytes: u64,
+    ) -> Result<TempPath, FetchError> {
         let ended = |error: ReadError| FetchError {
             failure: FetchFailure::Final,
             row: Box::new(error.row(job)),
@@ -245,9 +272,13 @@ impl Fetcher {
             .scratch
             .get_or_try_init(|| Scratch::below(parent));
         let path = scratch.await.map_err(failed)?.new_path().map_err(failed)?;
-        fetch_range_to_file(&*store, &meta, range, limits.max_bytes, &path)
-            .await
-            .map_err(failed)?;
+        let bytes = range.end - range.start;
+        let copied = if end_bytes < bytes.div_ceil(2) {
+            fetch_ends_to_file(&*store, &meta, range, end_bytes, &path).await
+        } else {
+            fetch_range_to_file(&*store, &meta, range, limits.max_bytes, &path).await
+        };
+        copied.map_err(failed)?;
         Ok(path)
     }
 

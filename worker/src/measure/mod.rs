@@ -15,6 +15,7 @@ mod learned;
 mod network_flow;
 mod observers;
 pub(crate) mod read;
+pub mod shape;
 mod thumbnail;
 mod verdict;
 

@@ -92,12 +92,8 @@ impl Input {
             }
             Location::Part(PartLocation { whole, part }) => match (*part, whole) {
                 (Part::Bytes { offset, bytes }, Whole::File(path)) => {
-                    let path = path_of(path);
-                    let range = byte_range(offset, bytes, job.bytes);
-                    let range = range.ok_or_else(|| ReadError::Outside {
-                        path: path.display().to_string(),
-                    })?;
-                    Ok(Self::of_bytes(read_member(&path, range, job, limits)?))
+                    let member = read_member(&path_of(path), offset, bytes, job, limits)?;
+                    Ok(Self::of_bytes(member))
                 }
                 (Part::Bytes { .. }, Whole::Object(object)) => {
                     limits.check_bytes(job.bytes_read())?;
@@ -180,11 +176,11 @@ impl Input {
     }
 }
 
-fn path_of(bytes: &[u8]) -> PathBuf {
+pub(super) fn path_of(bytes: &[u8]) -> PathBuf {
     PathBuf::from(OsString::from_vec(bytes.to_vec()))
 }
 
-fn io_error(path: &Path) -> impl Fn(std::io::Error) -> DecodeError {
+pub(super) fn io_error(path: &Path) -> impl Fn(std::io::Error) -> DecodeError {
     move |source| DecodeError::Io {
         path: path.to_path_buf(),
         source,
@@ -209,7 +205,11 @@ fn changed(path: impl std::fmt::Display) -> ReadError {
 }
 
 /// The file of `job`, in the version that was listed; what is read of it is within the limit.
-fn open_unchanged(path: &Path, job: &Job, limits: &DecodeLimits) -> Result<File, ReadError> {
+pub(super) fn open_unchanged(
+    path: &Path,
+    job: &Job,
+    limits: &DecodeLimits,
+) -> Result<File, ReadError> {
     let file = File::open(path).map_err(io_error(path))?;
     let version = version_of(&file).map_err(io_error(path))?;
     if version != (job.bytes, job.modified_ns) {
@@ -225,12 +225,18 @@ fn read_file(path: &Path, job: &Job, limits: &DecodeLimits) -> Result<Vec<u8>, R
     whole.ok_or_else(|| changed(path.display()))
 }
 
-fn read_member(
+/// A member of a tar.
+pub(super) fn read_member(
     path: &Path,
-    range: Range<u64>,
+    offset: u64,
+    bytes: u64,
     job: &Job,
     limits: &DecodeLimits,
 ) -> Result<Vec<u8>, ReadError> {
+    let range = byte_range(offset, bytes, job.bytes);
+    let range = range.ok_or_else(|| ReadError::Outside {
+        path: path.display().to_string(),
+    })?;
     let file = open_unchanged(path, job, limits)?;
     let mut member = vec![0; (range.end - range.start) as usize];
     file.read_exact_at(&mut member, range.start)
@@ -238,7 +244,10 @@ fn read_member(
     Ok(member)
 }
 
-fn there<'a>(copy: Option<&'a Path>, object: &ObjectLocation) -> Result<&'a Path, ReadError> {
+pub(super) fn there<'a>(
+    copy: Option<&'a Path>,
+    object: &ObjectLocation,
+) -> Result<&'a Path, ReadError> {
     copy.ok_or_else(|| ReadError::NotRead {
         object: object.to_string(),
         why: "was not fetched before it was to be measured; report this defect".into(),

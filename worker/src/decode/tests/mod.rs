@@ -1,5 +1,6 @@
 //! Decoding, tested on clips that our own encoder makes at run time (no committed videos, no `ffmpeg` binary).
 
+mod headers;
 mod hostile;
 mod image_dirs;
 mod intervals;
