@@ -43,6 +43,10 @@ pub fn layer_acceleration(
         denominator[cell] = mean_speed + accel.speed_offset_px;
         counted[cell] = rho < 1.0 && denominator[cell] > accel.min_denominator_px;
     }
+    // Known before the smoothing: there will be no more cells than these.
+    if counted.iter().filter(|&&counted| counted).count() <= params.min_cells {
+        return None;
+    }
     let smooth = |value: &dyn Fn(usize) -> f32| {
         let counted_value = |cell| if counted[cell] { value(cell) } else { 0.0 };
         let plane = Plane {
@@ -59,7 +63,8 @@ pub fn layer_acceleration(
         .map(|cell| {
             let ratio = product.data[cell] / (energy.data[cell] + accel.energy_offset_px2);
             let ratio = ratio.clamp(accel.min_ratio, accel.max_ratio);
-            [0, 1].map(|axis| later[cell][axis] - ratio * step.flow_px[cell][axis])
+            let ([u, v], [before_u, before_v]) = (later[cell], step.flow_px[cell]);
+            [u - ratio * before_u, v - ratio * before_v]
         })
         .collect();
     let common = [0, 1].map(|axis| smooth(&|cell| change[cell][axis]));
