@@ -12,6 +12,8 @@ pub use filter::{box_mean, gaussian_blur};
 pub(crate) use resize::resize_vectors;
 pub use resize::{resize_plane, resize_rgb};
 
+use crate::flow::simd::{Kernel, dispatch};
+
 /// Why pixels do not make a picture.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
@@ -95,17 +97,32 @@ impl Rgb8 {
         if self.validate().is_err() {
             return Plane::empty();
         }
-        let luma = |p: &[u8]| {
-            let sum = LUMA_RED * u32::from(p[0])
-                + LUMA_GREEN * u32::from(p[1])
-                + LUMA_BLUE * u32::from(p[2]);
-            ((sum + (1 << (LUMA_SHIFT - 1))) >> LUMA_SHIFT) as f32
-        };
         Plane {
             width: self.width,
             height: self.height,
-            data: self.data.chunks_exact(3).map(luma).collect(),
+            data: dispatch(Luma(&self.data)),
         }
+    }
+}
+
+/// Luma of interleaved pixels.
+struct Luma<'a>(&'a [u8]);
+
+impl Kernel for Luma<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let pixels = self.0.as_chunks::<3>().0;
+        let mut grey = vec![0.0; pixels.len()];
+        for (grey, &[red, green, blue]) in grey.iter_mut().zip(pixels) {
+            let sum = LUMA_RED * u32::from(red)
+                + LUMA_GREEN * u32::from(green)
+                + LUMA_BLUE * u32::from(blue);
+            // At most 255, through i32, which converts in one instruction.
+            *grey = ((sum + (1 << (LUMA_SHIFT - 1))) >> LUMA_SHIFT) as i32 as f32;
+        }
+        grey
     }
 }
 

@@ -6,9 +6,7 @@
 //! 2010). Full working grid, `[H, W]`; unit: pixels of a picture `reference_height_px` high.
 
 use super::look_up::{LookUpRow, mix};
-use super::{
-    ConsistencyError, ConsistencyParams, check_pair, check_values, squared_norm,
-};
+use super::{ConsistencyError, ConsistencyParams, check_pair, check_values, squared_norm};
 use crate::flow::Flow;
 use crate::flow::simd::{Kernel, dispatch};
 use crate::image::Bilinear;

@@ -332,10 +332,11 @@ impl Memory {
         if stayed.len() <= params.shift_min_cells {
             return 0.0;
         }
-        let channels = colour.iter().zip(&self.colour);
-        let changes =
-            channels.flat_map(|(now, then)| stayed.iter().map(move |&cell| now[cell] - then[cell]));
-        median_f32(changes).unwrap_or(0.0) as f32
+        let mut changes = Vec::with_capacity(3 * stayed.len());
+        for (now, then) in colour.iter().zip(&self.colour) {
+            changes.extend(stayed.iter().map(|&cell| now[cell] - then[cell]));
+        }
+        median_f32(changes.into_iter()).unwrap_or(0.0) as f32
     }
 }
 

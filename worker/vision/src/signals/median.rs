@@ -20,10 +20,7 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 /// is refused.
 #[must_use]
 pub(crate) fn median_f32(values: impl Iterator<Item = f32>) -> Option<f64> {
-    let mut keys = Vec::with_capacity(values.size_hint().0);
-    for value in values {
-        keys.push(order_key(value));
-    }
+    let keys: Vec<u32> = values.map(order_key).collect();
     let middle = keys.len() / 2;
     let is_odd = keys.len() % 2 == 1;
     if keys.is_empty() {
