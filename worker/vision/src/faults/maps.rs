@@ -412,7 +412,10 @@ mod tests {
             let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
             let taps = 2 * radius + 1;
             let count = (taps * taps) as f64;
-            let found = local_deviation(&plane, radius);
+            let found = dispatch(LocalDeviation {
+                plane: &plane,
+                radius,
+            });
             for (cell, &found) in found.iter().enumerate() {
                 let near = |indices: &[usize], place: usize| -> Vec<usize> {
                     indices[place * taps..][..taps].to_vec()
