@@ -289,6 +289,16 @@ mod tests {
     }
 
     #[test]
+    fn grey_of_many_pixels_is_that_of_each() {
+        let data: Vec<u8> = (0..3 * 37 * 5).map(|i| (i * 7919 % 256) as u8).collect();
+        let grey = Rgb8::new(37, 5, data.clone()).unwrap().grey();
+        for (pixel, grey) in data.chunks_exact(3).zip(&grey.data) {
+            let alone = Rgb8::new(1, 1, pixel.to_vec()).unwrap().grey();
+            assert_eq!(alone.data, [*grey]);
+        }
+    }
+
+    #[test]
     fn sample_interpolates_inside_and_clamps_outside() {
         let plane = Plane::new(2, 2, vec![0.0, 1.0, 2.0, 3.0]).unwrap();
         assert_eq!(plane.sample(0.5, 0.5), Some(1.5));
