@@ -48,7 +48,7 @@ two=$(wall 2)
 instructions() {
     [ "${VALGRIND:-1}" = 1 ] || return 0
     for clip in static__00 rotation__00 parallax__00; do
-        valgrind --tool=callgrind --callgrind-out-file="$work/$clip.callgrind" \
+        python3 tests/benches/without_auxv.py valgrind --tool=callgrind --callgrind-out-file="$work/$clip.callgrind" \
             "$effort" 1 standard '{}' -- "$work/cameras/videos/$clip.mp4" >/dev/null 2>&1
         echo
         echo "### $clip"

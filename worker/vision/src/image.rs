@@ -12,6 +12,8 @@ pub use filter::{box_mean, gaussian_blur};
 pub(crate) use resize::resize_vectors;
 pub use resize::{resize_plane, resize_rgb};
 
+use crate::flow::simd::{Kernel, dispatch};
+
 /// Why pixels do not make a picture.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
@@ -95,17 +97,32 @@ impl Rgb8 {
         if self.validate().is_err() {
             return Plane::empty();
         }
-        let luma = |p: &[u8]| {
-            let sum = LUMA_RED * u32::from(p[0])
-                + LUMA_GREEN * u32::from(p[1])
-                + LUMA_BLUE * u32::from(p[2]);
-            ((sum + (1 << (LUMA_SHIFT - 1))) >> LUMA_SHIFT) as f32
-        };
         Plane {
             width: self.width,
             height: self.height,
-            data: self.data.chunks_exact(3).map(luma).collect(),
+            data: dispatch(Luma(&self.data)),
         }
+    }
+}
+
+/// Luma of interleaved pixels.
+struct Luma<'a>(&'a [u8]);
+
+impl Kernel for Luma<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let pixels = self.0.as_chunks::<3>().0;
+        let mut grey = vec![0.0; pixels.len()];
+        for (grey, &[red, green, blue]) in grey.iter_mut().zip(pixels) {
+            let sum = LUMA_RED * u32::from(red)
+                + LUMA_GREEN * u32::from(green)
+                + LUMA_BLUE * u32::from(blue);
+            // At most 255, through i32, which converts in one instruction.
+            *grey = ((sum + (1 << (LUMA_SHIFT - 1))) >> LUMA_SHIFT) as i32 as f32;
+        }
+        grey
     }
 }
 
@@ -268,6 +285,16 @@ mod tests {
                 "{pixel:?}"
             );
             assert_eq!(grey.data[0].fract(), 0.0);
+        }
+    }
+
+    #[test]
+    fn grey_of_many_pixels_is_that_of_each() {
+        let data: Vec<u8> = (0..3 * 37 * 5).map(|i| (i * 7919 % 256) as u8).collect();
+        let grey = Rgb8::new(37, 5, data.clone()).unwrap().grey();
+        for (pixel, grey) in data.chunks_exact(3).zip(&grey.data) {
+            let alone = Rgb8::new(1, 1, pixel.to_vec()).unwrap().grey();
+            assert_eq!(alone.data, [*grey]);
         }
     }
 

@@ -6,15 +6,10 @@
 //! 2010). Full working grid, `[H, W]`; unit: pixels of a picture `reference_height_px` high.
 
 use super::look_up::{LookUpRow, mix};
-use super::{
-    ConsistencyError, ConsistencyParams, MAX_FLOW_PX, check_pair, check_values, squared_norm,
-};
+use super::{ConsistencyError, ConsistencyParams, check_pair, check_values, squared_norm};
 use crate::flow::Flow;
 use crate::flow::simd::{Kernel, dispatch};
 use crate::image::Bilinear;
-
-// Vectors checked before looking whether one failed: a few cache lines.
-const CHECK_CHUNK: usize = 256;
 
 /// End-point errors of one direction of one pair.
 #[derive(Debug, Clone, PartialEq)]
@@ -128,9 +123,7 @@ fn check(
     params.validate()?;
     check_pair(forward, backward)?;
     for flow in [forward, backward] {
-        if !all_plausible(flow) {
-            check_values(flow)?;
-        }
+        check_values(flow)?;
     }
     Ok(())
 }
@@ -226,17 +219,6 @@ impl Row {
             apart[x] = squared >= params.tolerance([u, v], [back_u, back_v]);
         }
     }
-}
-
-/// Whether `check_values` would accept; without branches, so that it is done in whole vectors.
-fn all_plausible(flow: &Flow) -> bool {
-    let plausible =
-        |ok: bool, &[u, v]: &[f32; 2]| ok & (u.abs() <= MAX_FLOW_PX) & (v.abs() <= MAX_FLOW_PX);
-    !flow.data.is_empty()
-        && flow
-            .data
-            .chunks(CHECK_CHUNK)
-            .all(|chunk| chunk.iter().fold(true, plausible))
 }
 
 /// Whether a point lies between the outermost pixel centres.

@@ -263,7 +263,11 @@ impl Comparison<'_> {
         let appearance = &mut evidence.appearance[row.clone()][..width];
         for x in 0..width {
             let (fx, fy) = (fraction_x[x], fraction_y[x]);
-            let back = [0, 1].map(|k| mix([a[x][k], b[x][k], c[x][k], d[x][k]], fx, fy));
+            // No closure: one that is not inlined would keep the loop from whole vectors.
+            let back = [
+                mix([a[x][0], b[x][0], c[x][0], d[x][0]], fx, fy),
+                mix([a[x][1], b[x][1], c[x][1], d[x][1]], fx, fy),
+            ];
             let [u, v] = ahead[x];
             let squared = squared_norm([u + back[0], v + back[1]]);
             speed[x] = squared_norm([u, v]).sqrt();

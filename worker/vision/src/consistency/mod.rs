@@ -19,10 +19,14 @@ pub use worldscore::{WorldscoreEpe, worldscore_epe};
 use serde::{Deserialize, Serialize};
 
 use crate::flow::Flow;
+use crate::flow::simd::{Kernel, dispatch};
 use crate::image::ImageError;
 
 // No frame is this wide; larger vectors are garbage, and their squares would leave f32.
 const MAX_FLOW_PX: f32 = 1e6;
+
+// Components checked before looking whether one failed: a few cache lines.
+const CHECK_CHUNK: usize = 256;
 
 /// Constants of the consistency measures. Pixels are those of a picture `reference_height_px` high.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -191,6 +195,9 @@ fn check_values(flow: &Flow) -> Result<(), ConsistencyError> {
         }
         .into());
     }
+    if dispatch(AllPlausible(flow.data.as_flattened())) {
+        return Ok(());
+    }
     // NaN fails the comparison too.
     let absurd = |v: &[f32; 2]| !(v[0].abs() <= MAX_FLOW_PX && v[1].abs() <= MAX_FLOW_PX);
     match flow.data.iter().position(absurd) {
@@ -200,5 +207,27 @@ fn check_values(flow: &Flow) -> Result<(), ConsistencyError> {
             vector: flow.data[index],
             limit_px: MAX_FLOW_PX,
         }),
+    }
+}
+
+/// Whether no component is NaN or absurdly large; without branches inside a chunk, so that it is done in whole
+/// vectors.
+struct AllPlausible<'a>(&'a [f32]);
+
+impl Kernel for AllPlausible<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run(self) -> bool {
+        for chunk in self.0.chunks(CHECK_CHUNK) {
+            let mut plausible = true;
+            for component in chunk {
+                plausible &= component.abs() <= MAX_FLOW_PX;
+            }
+            if !plausible {
+                return false;
+            }
+        }
+        true
     }
 }

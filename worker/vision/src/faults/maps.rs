@@ -26,14 +26,15 @@ pub(super) fn bad_frame(adjacent: [&Plane; 4], skip: [&Plane; 2]) -> Plane {
 
 /// The least of the planes in every cell.
 pub(super) fn least(planes: [&Plane; 4]) -> Plane {
-    let [a, b, c, d] = planes.map(|plane| &plane.data[..]);
-    combine(planes[0], |cell| {
-        f32::INFINITY
-            .min(a[cell])
-            .min(b[cell])
-            .min(c[cell])
-            .min(d[cell])
-    })
+    let [a, b, c, d] = planes.map(|plane| plane.data.iter());
+    let cells = a.zip(b).zip(c).zip(d);
+    Plane {
+        width: planes[0].width,
+        height: planes[0].height,
+        data: cells
+            .map(|(((&a, &b), &c), &d)| f32::INFINITY.min(a).min(b).min(c).min(d))
+            .collect(),
+    }
 }
 
 /// xr: q_r(a→b) · q_r(b→a).
@@ -67,7 +68,10 @@ pub(super) fn appear(frames: [&Plane; TRANSITION_FRAMES], params: &FaultParams) 
 
 /// ℓ = ln(2 + local deviation of the grey levels): how much texture there is.
 pub(super) fn texture(frame: &NormalisedFrame, params: &FaultParams) -> Plane {
-    let deviation = local_deviation(&frame.grey, params.texture_radius_cells);
+    let deviation = dispatch(LocalDeviation {
+        plane: &frame.grey,
+        radius: params.texture_radius_cells,
+    });
     Plane {
         width: frame.grey.width,
         height: frame.grey.height,
@@ -97,6 +101,7 @@ impl Kernel for Logarithms<'_> {
 /// Standard deviation in the `(2 radius + 1)²` box around each cell, borders reflected. In f64: the
 /// difference of the mean square and the squared mean would otherwise show rounding as texture where
 /// a flat surface is bright.
+#[inline(always)]
 fn local_deviation(plane: &Plane, radius: usize) -> Vec<f64> {
     let (width, height) = (plane.width, plane.height);
     let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
@@ -131,15 +136,31 @@ fn local_deviation(plane: &Plane, radius: usize) -> Vec<f64> {
             add(&mut sum, &sums[row * width..]);
             add(&mut square, &squares[row * width..]);
         }
-        deviation.extend(sum.iter().zip(&square).map(|(sum, square)| {
+        for (sum, square) in sum.iter().zip(&mut square) {
             let mean = sum / count;
-            (square / count - mean * mean).max(0.0).sqrt()
-        }));
+            *square = (*square / count - mean * mean).max(0.0).sqrt();
+        }
+        deviation.extend_from_slice(&square);
     }
     deviation
 }
 
+struct LocalDeviation<'a> {
+    plane: &'a Plane,
+    radius: usize,
+}
+
+impl Kernel for LocalDeviation<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f64> {
+        local_deviation(self.plane, self.radius)
+    }
+}
+
 /// `to[i] += from[i]`.
+#[inline(always)]
 fn add(to: &mut [f64], from: &[f64]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to += from;
@@ -391,7 +412,10 @@ mod tests {
             let (columns, rows) = (box_indices(width, radius), box_indices(height, radius));
             let taps = 2 * radius + 1;
             let count = (taps * taps) as f64;
-            let found = local_deviation(&plane, radius);
+            let found = dispatch(LocalDeviation {
+                plane: &plane,
+                radius,
+            });
             for (cell, &found) in found.iter().enumerate() {
                 let near = |indices: &[usize], place: usize| -> Vec<usize> {
                     indices[place * taps..][..taps].to_vec()

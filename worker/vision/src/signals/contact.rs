@@ -261,18 +261,8 @@ impl ContactStream {
         }
         let is_static = erode(&is_static, width, self.params.erosion_radius_cells);
         let picture = resize_rgb(&pending.picture, width, height);
-        let colour = [0, 1, 2].map(|channel| {
-            let plane = Plane {
-                width,
-                height,
-                data: picture.data[channel..]
-                    .iter()
-                    .step_by(3)
-                    .map(|&level| f32::from(level))
-                    .collect(),
-            };
-            gaussian_blur(&plane, self.params.colour_sigma_cells).data
-        });
+        let colour = planes(&picture)
+            .map(|plane| gaussian_blur(&plane, self.params.colour_sigma_cells).data);
         let shift = memory.common_shift(&colour, &is_static, &self.params);
         for cell in (0..is_static.len()).filter(|&cell| is_static[cell]) {
             if memory
@@ -294,6 +284,22 @@ impl ContactStream {
         }
         memory.frame += 1;
     }
+}
+
+/// The channels of a picture, each as a plane.
+fn planes(picture: &Rgb8) -> [Plane; 3] {
+    let pixels = picture.width * picture.height;
+    let mut levels = [vec![0.0; pixels], vec![0.0; pixels], vec![0.0; pixels]];
+    let [red, green, blue] = &mut levels;
+    let places = red.iter_mut().zip(green).zip(blue);
+    for (((r, g), b), &[red, green, blue]) in places.zip(picture.data.as_chunks::<3>().0) {
+        (*r, *g, *b) = (f32::from(red), f32::from(green), f32::from(blue));
+    }
+    levels.map(|data| Plane {
+        width: picture.width,
+        height: picture.height,
+        data,
+    })
 }
 
 /// Of a pair, by the frame it starts from.
@@ -326,10 +332,11 @@ impl Memory {
         if stayed.len() <= params.shift_min_cells {
             return 0.0;
         }
-        let channels = colour.iter().zip(&self.colour);
-        let changes =
-            channels.flat_map(|(now, then)| stayed.iter().map(move |&cell| now[cell] - then[cell]));
-        median_f32(changes).unwrap_or(0.0) as f32
+        let mut changes = Vec::with_capacity(3 * stayed.len());
+        for (now, then) in colour.iter().zip(&self.colour) {
+            changes.extend(stayed.iter().map(|&cell| now[cell] - then[cell]));
+        }
+        median_f32(changes.into_iter()).unwrap_or(0.0) as f32
     }
 }
 

@@ -20,21 +20,56 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 /// is refused.
 #[must_use]
 pub(crate) fn median_f32(values: impl Iterator<Item = f32>) -> Option<f64> {
-    let mut keys: Vec<u32> = values.map(order_key).collect();
+    let keys: Vec<u32> = values.map(order_key).collect();
     let middle = keys.len() / 2;
     let is_odd = keys.len() % 2 == 1;
     if keys.is_empty() {
         return None;
     }
-    let (lower, &mut upper, _) = keys.select_nth_unstable(middle);
+    let (below, upper) = middle_two(keys, middle);
     let upper = f64::from(value_of(upper));
-    Some(match lower.iter().max() {
-        Some(&below) if !is_odd => {
+    Some(match below {
+        Some(below) if !is_odd => {
             let below = f64::from(value_of(below));
             below + (upper - below) / 2.0
         }
         _ => upper,
     })
+}
+
+/// The key at place `middle` in order, and the one before it. Many keys are first counted by their upper bits:
+/// only those of the bucket where the middle lies are put in order.
+fn middle_two(mut keys: Vec<u32>, mut middle: usize) -> (Option<u32>, u32) {
+    let mut below = None;
+    if keys.len() > BUCKETS {
+        let mut counts = vec![0usize; BUCKETS];
+        for &key in &keys {
+            counts[bucket(key)] += 1;
+        }
+        let (mut chosen, mut before) = (0, 0);
+        while before + counts[chosen] <= middle {
+            before += counts[chosen];
+            chosen += 1;
+        }
+        // The key before the middle may be the largest of the buckets below.
+        if before == middle {
+            let lower = keys.iter().filter(|&&key| bucket(key) < chosen);
+            below = lower.max().copied();
+        }
+        keys.retain(|&key| bucket(key) == chosen);
+        middle -= before;
+    }
+    let (lower, &mut upper, _) = keys.select_nth_unstable(middle);
+    (lower.iter().max().copied().or(below), upper)
+}
+
+const BUCKET_BITS: u32 = 12;
+
+/// Buckets by the upper bits: sign, exponent and the first bits of the mantissa.
+const BUCKETS: usize = 1 << BUCKET_BITS;
+
+fn bucket(key: u32) -> usize {
+    (key >> (u32::BITS - BUCKET_BITS)) as usize
 }
 
 /// An integer that orders as `f32::total_cmp` does.
@@ -62,7 +97,15 @@ mod tests {
     #[test]
     fn medians_of_planes_are_those_of_numbers() {
         let value = |i: usize| ((i * 7919) % 101) as f32 * 0.37 - 12.0;
-        for count in [0, 1, 2, 3, 10, 101, 256] {
+        let spread = |i: usize| libm::sin(i as f64 * 1.7) as f32 * [1e-3, 1.0, 70.0][i % 3];
+        // From 4097 on by buckets: all in one, half in each of two, many in many.
+        let two = |i: usize| if i.is_multiple_of(2) { 1.5 } else { -8.0 };
+        let kinds: [&dyn Fn(usize) -> f32; 4] = [&value, &spread, &two, &|_| -0.0];
+        let counts = [0, 1, 2, 3, 10, 101, 256, 4097, 4098, 5000, 20_001];
+        for (value, count) in kinds
+            .into_iter()
+            .flat_map(|value| counts.map(|count| (value, count)))
+        {
             let values = (0..count)
                 .map(value)
                 .chain([-0.0, 0.0].into_iter().take(count));

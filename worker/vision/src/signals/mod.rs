@@ -89,14 +89,14 @@ impl PairSignals {
 /// Mean |flow| over counted cells, reference pixels; `None` when no cell counts.
 #[must_use]
 pub fn motion_px(evidence: &Evidence) -> Option<f64> {
-    mean(counted(evidence).map(|index| evidence.speed_px[index]))
+    mean(counted(evidence, &evidence.speed_px))
 }
 
 /// Share of counted cells that move; `None` when no cell counts.
 #[must_use]
 pub fn moving_fraction(evidence: &Evidence, params: &SignalParams) -> Option<f64> {
-    let moves = |index: usize| f32::from(u8::from(evidence.speed_px[index] > params.moving_px));
-    mean(counted(evidence).map(moves))
+    let moves = |speed: f32| f32::from(u8::from(speed > params.moving_px));
+    mean(counted(evidence, &evidence.speed_px).map(moves))
 }
 
 /// T: mean appearance residual r of moving cells over that of all consistent cells. `None` with too
@@ -108,20 +108,29 @@ pub fn appearance_ratio(evidence: &Evidence, params: &SignalParams) -> Option<f6
         return None;
     }
     let of_moving = mean(moving.iter().map(|&index| evidence.appearance[index]))?;
-    let consistent = (0..evidence.rho.len()).filter(|&index| evidence.consistent(index));
-    let of_all = mean(consistent.map(|index| evidence.appearance[index]))?;
+    let judged = evidence.rho.iter().zip(&evidence.appearance);
+    let consistent = judged
+        .zip(&evidence.counted)
+        .filter(|&((&rho, _), &counted)| counted && rho < 1.0);
+    let of_all = mean(consistent.map(|((_, &appearance), _)| appearance))?;
     (of_all > 0.0).then(|| of_moving / of_all)
 }
 
 /// Indices of consistent cells whose flow is longer than `moving_px`.
 fn moving_cells(evidence: &Evidence, moving_px: f32) -> Vec<usize> {
-    (0..evidence.rho.len())
-        .filter(|&index| evidence.consistent(index) && evidence.speed_px[index] > moving_px)
+    let cells = evidence.speed_px.iter().zip(&evidence.rho);
+    cells
+        .zip(&evidence.counted)
+        .enumerate()
+        .filter(|&(_, ((&speed, &rho), &counted))| counted && rho < 1.0 && speed > moving_px)
+        .map(|(cell, _)| cell)
         .collect()
 }
 
-fn counted(evidence: &Evidence) -> impl Iterator<Item = usize> + '_ {
-    (0..evidence.counted.len()).filter(|&index| evidence.counted[index])
+/// Of the values of the cells, those of counted ones.
+fn counted<'a>(evidence: &'a Evidence, values: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
+    let cells = values.iter().zip(&evidence.counted);
+    cells.filter_map(|(&value, &counted)| counted.then_some(value))
 }
 
 /// Mean in f64, in order; `None` of nothing.

@@ -217,9 +217,10 @@ impl Way {
     /// Goes where `flow` takes it; outside the picture, its nearest pixel does.
     fn follow(&mut self, flow: &Flow) {
         let look_up = Bilinear::at(self.at[0], self.at[1], flow.width, flow.height);
+        let [a, b, c, d] = look_up.indices;
+        let [a, b, c, d] = [flow.data[a], flow.data[b], flow.data[c], flow.data[d]];
         for axis in [0, 1] {
-            let [a, b, c, d] = look_up.indices.map(|i| flow.data[i][axis]);
-            let vector = look_up.mix(a, b, c, d);
+            let vector = look_up.mix(a[axis], b[axis], c[axis], d[axis]);
             self.at[axis] += vector;
             self.moved[axis] += f64::from(vector);
         }

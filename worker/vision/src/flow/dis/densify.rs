@@ -171,6 +171,8 @@ pub(super) struct Upsampler {
     widener: Widener,
     upper: Vec<[f32; 2]>,
     lower: Vec<[f32; 2]>,
+    /// The row between them.
+    row: Vec<[f32; 2]>,
 }
 
 impl Upsampler {
@@ -185,13 +187,11 @@ impl Upsampler {
         flow: &mut Flow,
     ) {
         (flow.width, flow.height) = (width, height);
-        // Every vector is written below: only a new size costs a fill.
-        flow.data.resize(width * height, [0.0; 2]);
+        flow.data.clear();
+        flow.data.reserve_exact(width * height);
         if (width, height) == (field.width, field.height) {
             let vectors = field.u.iter().zip(&field.v);
-            for (out, (&u, &v)) in flow.data.iter_mut().zip(vectors) {
-                *out = [u, v];
-            }
+            flow.data.extend(vectors.map(|(&u, &v)| [u, v]));
             return;
         }
         dispatch(Upsampling {
@@ -213,7 +213,8 @@ impl Upsampler {
         self.widener.aim(&self.columns, scale);
         // Two widened source rows at a time; consecutive output rows mostly share them.
         let mut held = None;
-        for (y, out) in flow.data.chunks_exact_mut(flow.width).enumerate() {
+        self.row.resize(flow.width, [0.0; 2]);
+        for y in 0..flow.height {
             let tap = Tap::new(y, field.height, flow.height);
             if held != Some((tap.index, tap.next)) {
                 if held.is_some_and(|(_, next)| next == tap.index) {
@@ -228,9 +229,11 @@ impl Upsampler {
             }
             // Components in one run, which becomes whole vectors.
             let (upper, lower) = (self.upper.as_flattened(), self.lower.as_flattened());
-            for ((out, a), b) in out.as_flattened_mut().iter_mut().zip(upper).zip(lower) {
+            let row = self.row.as_flattened_mut();
+            for ((out, a), b) in row.iter_mut().zip(upper).zip(lower) {
                 *out = a + tap.fraction * (b - a);
             }
+            flow.data.extend_from_slice(&self.row);
         }
     }
 }

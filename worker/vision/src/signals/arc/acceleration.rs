@@ -43,26 +43,35 @@ pub fn layer_acceleration(
         denominator[cell] = mean_speed + accel.speed_offset_px;
         counted[cell] = rho < 1.0 && denominator[cell] > accel.min_denominator_px;
     }
-    let smooth = |value: &dyn Fn(usize) -> f32| {
-        let counted_value = |cell| if counted[cell] { value(cell) } else { 0.0 };
+    // Known before the smoothing: there will be no more cells than these.
+    if counted.iter().filter(|&&counted| counted).count() <= params.min_cells {
+        return None;
+    }
+    let smooth = |mut data: Vec<f32>| {
+        for (value, &counted) in data.iter_mut().zip(&counted) {
+            *value = if counted { *value } else { 0.0 };
+        }
         let plane = Plane {
             width,
             height,
-            data: (0..cells).map(counted_value).collect(),
+            data,
         };
         box_mean(&plane, accel.layer_radius_cells)
     };
-    let product = smooth(&|cell| dot(later[cell], step.flow_px[cell]));
-    let energy = smooth(&|cell| dot(step.flow_px[cell], step.flow_px[cell]));
-    let share = smooth(&|_| 1.0);
+    let vectors = later.iter().zip(&step.flow_px);
+    let product = smooth(vectors.map(|(&later, &flow)| dot(later, flow)).collect());
+    let flows = step.flow_px.iter();
+    let energy = smooth(flows.map(|&flow| dot(flow, flow)).collect());
+    let share = smooth(vec![1.0; cells]);
     let change: Vec<[f32; 2]> = (0..cells)
         .map(|cell| {
             let ratio = product.data[cell] / (energy.data[cell] + accel.energy_offset_px2);
             let ratio = ratio.clamp(accel.min_ratio, accel.max_ratio);
-            [0, 1].map(|axis| later[cell][axis] - ratio * step.flow_px[cell][axis])
+            let ([u, v], [before_u, before_v]) = (later[cell], step.flow_px[cell]);
+            [u - ratio * before_u, v - ratio * before_v]
         })
         .collect();
-    let common = [0, 1].map(|axis| smooth(&|cell| change[cell][axis]));
+    let common = [0, 1].map(|axis| smooth(change.iter().map(|change| change[axis]).collect()));
     let mut sample = CellSample::default();
     for cell in (0..cells).filter(|&cell| counted[cell]) {
         let weight = share.data[cell] + accel.share_offset;
