@@ -19,6 +19,7 @@ deviation, sides multiples of 8. Changes and motions are x, y in cells of the 1/
 import numpy as np
 
 from graph import Graph, WeightsError
+from winograd import CHANNELS, Tiles
 
 WIDTH = 32  # of the encoders' first layer
 HIDDEN = 128
@@ -90,17 +91,12 @@ CONTEXT_PART = slice(HIDDEN, 2 * HIDDEN)
 
 
 def _gate_weights(g, names, of_context):
-    """The 3x3 weights of gates, one after the other, for the context's channels or for all others."""
+    """The 3x3 kernels of gates, one after the other, for the context's channels or for all others."""
     taken = []
     for name in names:
         whole = g.weights.take(f"update.gru.{name}.weight", (HIDDEN, INNER, 3, 3))
         taken.append(whole[:, CONTEXT_PART] if of_context else np.delete(whole, CONTEXT_PART, axis=1))
-    part = "context" if of_context else "rest"
-    return g.constant(f"update.gru.{'+'.join(names)}.{part}", np.concatenate(taken))
-
-
-def _conv(g, x, weight, *bias, kernel=3):
-    return g.node("Conv", [x, weight, *bias], kernel_shape=[kernel] * 2, pads=[kernel // 2] * 4)
+    return np.concatenate(taken)
 
 
 def gates(weights):
@@ -109,35 +105,44 @@ def gates(weights):
     held = g.input("context", ["pictures", HIDDEN, ROWS, COLUMNS])
     names = ("convz", "convr", "convq")
     bias = np.concatenate([g.weights.take(f"update.gru.{name}.bias", (HIDDEN,)) for name in names])
-    x = _conv(g, held, _gate_weights(g, names, of_context=True), g.constant("update.gru.bias", bias))
-    g.output("gates", x, ["pictures", 3 * HIDDEN, ROWS, COLUMNS])
+    tiles = Tiles(g, held)
+    x = tiles.conv(tiles.split(held, HIDDEN), "update.gru.context", _gate_weights(g, names, of_context=True), bias)
+    g.output("gates", tiles.join(x, 3 * HIDDEN), ["pictures", 3 * HIDDEN, ROWS, COLUMNS])
     return g
 
 
-def _gru(g, h, of_context, x):
-    """The gated unit with a global context: h' = (1 - z) h + z q. `of_context` is what `gates` gives."""
+def _gru(g, tiles, h, of_context, x):
+    """The gated unit with a global context: h' = (1 - z) h + z q. `of_context` is what `gates` gives; `x`
+    and h' are in tiles."""
     key = "update.gru"
     gate = g.sigmoid(g.conv(h, f"{key}.w", HIDDEN, HIDDEN, 1))
     mean = g.node("GlobalAveragePool", [g.mul(gate, h)])
+    h = tiles.split(h, HIDDEN)
 
     def gated(inputs, names, first):
         """What enters the gates of these names, of which `first` stand before in `gates`."""
         everywhere = [g.conv(mean, f"{key}.{name}_glo", HIDDEN, HIDDEN, 1) for name in names]
         everywhere = g.concat(*everywhere) if len(names) > 1 else everywhere[0]
         own = g.channels(of_context, first * HIDDEN, (first + len(names)) * HIDDEN)
-        x = _conv(g, inputs, _gate_weights(g, names, of_context=False))
-        return g.add(g.add(x, own), everywhere)
+        own = tiles.split(g.add(own, everywhere), len(names) * HIDDEN)
+        inputs = g.node("Concat", inputs, axis=CHANNELS)
+        weight = _gate_weights(g, names, of_context=False)
+        return g.add(tiles.conv(inputs, f"{key}.{'+'.join(names)}", weight, None), own)
 
-    zr = g.sigmoid(gated(g.concat(h, x), ("convz", "convr"), 0))
-    z, r = g.channels(zr, 0, HIDDEN), g.channels(zr, HIDDEN, 2 * HIDDEN)
-    q = g.tanh(gated(g.concat(g.mul(r, h), x), ("convq",), 2))
-    one = g.constant("one", np.array(1.0, np.float32))
-    return g.add(g.mul(g.node("Sub", [one, z]), h), g.mul(z, q))
+    def part(x, first):
+        bounds = (g.constant(f"index_{n}", np.array([n], np.int64)) for n in (first, first + HIDDEN, CHANNELS))
+        return g.node("Slice", [x, *bounds])
+
+    zr = g.sigmoid(gated([h, x], ("convz", "convr"), 0))
+    z, r = part(zr, 0), part(zr, HIDDEN)
+    q = g.tanh(gated([g.mul(r, h), x], ("convq",), 2))
+    # h + z (q - h), which is the same.
+    return tiles.clear(g.add(h, g.mul(z, g.node("Sub", [q, h]))))
 
 
-def _head(g, net, key):
-    x = g.relu(g.conv(net, f"{key}.0", HIDDEN, HIDDEN, 3))
-    return g.conv(x, f"{key}.2", HIDDEN, 2, 3)
+def _head(g, tiles, net, key):
+    x = tiles.conv(net, f"{key}.0", *g.kernel(f"{key}.0", HIDDEN, HIDDEN))
+    return g.conv(tiles.join(g.relu(x), HIDDEN), f"{key}.2", HIDDEN, 2, 3)
 
 
 def update(weights):
@@ -146,14 +151,20 @@ def update(weights):
     of_context = g.input("gates", [EDGES, 3 * HIDDEN, ROWS, COLUMNS])
     correlation = g.input("correlation", [EDGES, CORRELATIONS, ROWS, COLUMNS])
     motion = g.input("motion", [EDGES, 4, ROWS, COLUMNS])
+    tiles = Tiles(g, net)
+
+    def conv(x, key, width):
+        x = tiles.conv(tiles.split(x, HIDDEN), key, *g.kernel(key, HIDDEN, width))
+        return tiles.clear(g.relu(x))
+
     c = g.relu(g.conv(correlation, "update.corr_encoder.0", CORRELATIONS, HIDDEN, 1))
-    c = g.relu(g.conv(c, "update.corr_encoder.2", HIDDEN, HIDDEN, 3))
+    c = conv(c, "update.corr_encoder.2", HIDDEN)
     f = g.relu(g.conv(motion, "update.flow_encoder.0", 4, HIDDEN, 7))
-    f = g.relu(g.conv(f, "update.flow_encoder.2", HIDDEN, HIDDEN // 2, 3))
-    net = _gru(g, net, of_context, g.concat(c, f))
-    g.output("next_net", net, [EDGES, HIDDEN, ROWS, COLUMNS])
-    g.output("target_change", _head(g, net, "update.delta"), [EDGES, 2, ROWS, COLUMNS])
-    g.output("weight", g.sigmoid(_head(g, net, "update.weight")), [EDGES, 2, ROWS, COLUMNS])
+    f = conv(f, "update.flow_encoder.2", HIDDEN // 2)
+    net = _gru(g, tiles, net, of_context, g.node("Concat", [c, f], axis=CHANNELS))
+    g.output("next_net", tiles.join(net, HIDDEN), [EDGES, HIDDEN, ROWS, COLUMNS])
+    g.output("target_change", _head(g, tiles, net, "update.delta"), [EDGES, 2, ROWS, COLUMNS])
+    g.output("weight", g.sigmoid(_head(g, tiles, net, "update.weight")), [EDGES, 2, ROWS, COLUMNS])
     return g
 
 

@@ -17,7 +17,7 @@ import re
 import numpy as np
 
 from graph import Graph, WeightsError
-from winograd import Tiles
+from winograd import CHANNELS, Tiles
 
 LEVELS = 4
 STRIDES = (1, 2, 2)
@@ -109,9 +109,14 @@ def _backbone(g, c, x, key, channels):
     return g.conv(x, f"{key}.final_conv", before, 2 * c.width, 1)
 
 
-def _flow_head(g, c, net):
-    """Flow (or its change) and uncertainty."""
-    y = g.relu(g.conv(net, "flow_head.0", c.width, 2 * c.width, 3))
+def _conv(g, tiles, x, key, width_in, width):
+    """A 3x3 convolution in tiles."""
+    return tiles.conv(x, key, *g.kernel(key, width_in, width))
+
+
+def _flow_head(g, c, tiles, net):
+    """Flow (or its change) and uncertainty, of a hidden state in tiles."""
+    y = tiles.join(g.relu(_conv(g, tiles, net, "flow_head.0", c.width, 2 * c.width)), 2 * c.width)
     y = g.conv(y, "flow_head.2", 2 * c.width, 6, 3)
     return g.channels(y, 0, 2), g.channels(y, 2, 6)
 
@@ -126,9 +131,11 @@ def features(c, weights):
 def context(c, weights):
     g = Graph("context", weights)
     x = _backbone(g, c, g.input("pair", [PAIR, 6, "height", "width"]), "cnet", 6)
-    x = g.conv(x, "init_conv", 2 * c.width, 2 * c.width, 3)
+    tiles = Tiles(g, x)
+    x = _conv(g, tiles, tiles.split(x, 2 * c.width), "init_conv", 2 * c.width, 2 * c.width)
+    x = tiles.join(x, 2 * c.width)
     net = g.channels(x, 0, c.width)
-    flow, uncertainty = _flow_head(g, c, net)
+    flow, uncertainty = _flow_head(g, c, tiles, tiles.split(net, c.width))
     g.output("net", net, [PAIR, c.width, ROWS, COLUMNS])
     g.output("context", g.channels(x, c.width, 2 * c.width), [PAIR, c.width, ROWS, COLUMNS])
     g.output("flow", flow, [PAIR, 2, ROWS, COLUMNS])
@@ -136,15 +143,16 @@ def context(c, weights):
     return g
 
 
-def _motion(g, c, correlation, flow):
+def _motion(g, c, tiles, correlation, flow):
     """The motion encoder."""
     key, width = "update_block.encoder", c.width
     x = g.relu(g.conv(correlation, f"{key}.convc1", c.correlations, 2 * width, 1))
-    x = g.relu(g.conv(x, f"{key}.convc2", 2 * width, 3 * width // 2, 3))
+    x = g.relu(_conv(g, tiles, tiles.split(x, 2 * width), f"{key}.convc2", 2 * width, 3 * width // 2))
     f = g.relu(g.conv(flow, f"{key}.convf1", 2, width, 7))
-    f = g.relu(g.conv(f, f"{key}.convf2", width, width // 2, 3))
-    m = g.relu(g.conv(g.concat(x, f), f"{key}.conv", 2 * width, width - 2, 3))
-    return g.concat(m, flow)
+    f = g.relu(_conv(g, tiles, tiles.split(f, width), f"{key}.convf2", width, width // 2))
+    both = tiles.clear(g.node("Concat", [x, f], axis=CHANNELS))
+    m = g.relu(_conv(g, tiles, both, f"{key}.conv", 2 * width, width - 2))
+    return g.concat(tiles.join(m, width - 2), flow)
 
 
 def _refine(g, c, x, key):
@@ -167,10 +175,11 @@ def update(c, weights):
     held = g.input("context", [PAIR, c.width, ROWS, COLUMNS])
     correlation = g.input("correlation", [PAIR, c.correlations, ROWS, COLUMNS])
     flow = g.input("flow", [PAIR, 2, ROWS, COLUMNS])
-    motion = _motion(g, c, correlation, flow)
+    tiles = Tiles(g, flow)
+    motion = _motion(g, c, tiles, correlation, flow)
     for block in range(c.refinements):
         net = _refine(g, c, g.concat(net, held, motion), f"update_block.refine.{block}")
-    change, uncertainty = _flow_head(g, c, net)
+    change, uncertainty = _flow_head(g, c, tiles, tiles.split(net, c.width))
     g.output("next_net", net, [PAIR, c.width, ROWS, COLUMNS])
     g.output("flow_change", change, [PAIR, 2, ROWS, COLUMNS])
     g.output("uncertainty", uncertainty, [PAIR, 4, ROWS, COLUMNS])
@@ -180,7 +189,9 @@ def update(c, weights):
 def upsample(c, weights):
     g = Graph("upsample", weights)
     x = g.input("net", [PAIR, c.width, ROWS, COLUMNS])
-    x = g.relu(g.conv(x, "upsample_weight.0", c.width, 2 * c.width, 3))
+    tiles = Tiles(g, x)
+    x = g.relu(_conv(g, tiles, tiles.split(x, c.width), "upsample_weight.0", c.width, 2 * c.width))
+    x = tiles.join(x, 2 * c.width)
     x = g.conv(x, "upsample_weight.2", 2 * c.width, 576, 1)
     x = g.mul(x, g.constant("quarter", np.array(0.25, np.float32)))
     g.output("logits", x, [PAIR, 576, ROWS, COLUMNS])
