@@ -19,6 +19,7 @@ deviation, sides multiples of 8. Changes and motions are x, y in cells of the 1/
 import numpy as np
 
 from graph import Graph, WeightsError
+from residual import layer
 from winograd import CHANNELS, Tiles
 
 WIDTH = 32  # of the encoders' first layer
@@ -47,30 +48,22 @@ def state_dict(tensors):
     return named
 
 
-def _encoder(g, x, key, channels_out, normalised):
-    def norm(x, width):
-        return g.instance_norm(x, width) if normalised else x
-
-    x = g.relu(norm(g.conv(x, f"{key}.conv1", 3, WIDTH, 7, 2), WIDTH))
+def _encoder(g, x, key, channels_out, norm=None):
+    x = g.conv(x, f"{key}.conv1", 3, WIDTH, 7, 2)
+    x = g.relu(g.instance_norm(x, WIDTH) if norm else x)
     before = WIDTH
-    for layer, stride in enumerate(STRIDES, 1):
-        width = WIDTH << (layer - 1)
-        for block in range(2):
-            name = f"{key}.layer{layer}.{block}"
-            step = stride if block == 0 else 1
-            y = g.relu(norm(g.conv(x, f"{name}.conv1", before, width, 3, step), width))
-            y = g.relu(norm(g.conv(y, f"{name}.conv2", width, width, 3), width))
-            if step != 1:
-                x = norm(g.conv(x, f"{name}.downsample.0", before, width, 1, step), width)
-            x = g.relu(g.add(x, y))
-            before = width
+    for number, stride in enumerate(STRIDES, 1):
+        width = WIDTH << (number - 1)
+        # Convolutions of the first layer's few channels are no quicker in tiles.
+        x = layer(g, x, f"{key}.layer{number}", before, width, 2, stride, norm, tiled=number > 1)
+        before = width
     return g.conv(x, f"{key}.conv2", before, channels_out, 1)
 
 
 def features(weights):
     g = Graph("features", weights)
     x = g.input("picture", ["pictures", 3, "height", "width"])
-    x = _encoder(g, x, "fnet", HIDDEN, normalised=True)
+    x = _encoder(g, x, "fnet", HIDDEN, norm="instance")
     g.output("features", x, ["pictures", HIDDEN, ROWS, COLUMNS])
     return g
 
@@ -78,7 +71,7 @@ def features(weights):
 def context(weights):
     g = Graph("context", weights)
     x = g.input("picture", ["pictures", 3, "height", "width"])
-    x = _encoder(g, x, "cnet", 2 * HIDDEN, normalised=False)
+    x = _encoder(g, x, "cnet", 2 * HIDDEN)
     net, held = g.channels(x, 0, HIDDEN), g.channels(x, HIDDEN, 2 * HIDDEN)
     g.output("net", g.tanh(net), ["pictures", HIDDEN, ROWS, COLUMNS])
     g.output("context", g.relu(held), ["pictures", HIDDEN, ROWS, COLUMNS])

@@ -17,6 +17,7 @@ import re
 import numpy as np
 
 from graph import Graph, WeightsError
+from residual import layer
 from winograd import CHANNELS, Tiles
 
 LEVELS = 4
@@ -73,38 +74,12 @@ def configuration(tensors):
     )
 
 
-def _layer(g, x, key, width_in, width, blocks, stride):
-    """Residual blocks, the first of which may lose resolution; all other 3x3 convolutions are in tiles."""
-
-    def tiled(x, name):
-        weight, bias = g.kernel(f"{name[0]}.conv{name[1]}", width, width, f"{name[0]}.bn{name[1]}")
-        return tiles.clear(g.relu(tiles.conv(x, f"{name[0]}.conv{name[1]}", weight, bias)))
-
-    for block in range(blocks):
-        name = f"{key}.{block}"
-        if block == 0:
-            y = None
-            if stride != 1 or width_in != width:
-                y = g.conv(x, f"{name}.conv1", width_in, width, 3, stride)
-                y = g.relu(g.batch_norm(y, f"{name}.bn1", width))
-                x = g.conv(x, f"{name}.downsample.0", width_in, width, 1, stride)
-                x = g.batch_norm(x, f"{name}.bn3", width, twin=f"{name}.downsample.1")
-            tiles = Tiles(g, x)
-            x = tiles.split(x, width)
-            y = tiles.split(y, width) if y else tiled(x, (name, 1))
-        else:
-            y = tiled(x, (name, 1))
-        # The activation is before the addition, unlike the common ResNet.
-        x = g.relu(g.add(x, tiled(y, (name, 2))))
-    return tiles.join(x, width)
-
-
 def _backbone(g, c, x, key, channels):
     x = g.conv(x, f"{key}.conv1", channels, c.initial_width, 7, 2)
     x = g.relu(g.batch_norm(x, f"{key}.bn1", c.initial_width))
     before = c.initial_width
-    for layer, (width, blocks, stride) in enumerate(zip(c.widths, c.blocks, STRIDES), 1):
-        x = _layer(g, x, f"{key}.layer{layer}", before, width, blocks, stride)
+    for number, (width, blocks, stride) in enumerate(zip(c.widths, c.blocks, STRIDES), 1):
+        x = layer(g, x, f"{key}.layer{number}", before, width, blocks, stride, norm="batch")
         before = width
     return g.conv(x, f"{key}.final_conv", before, 2 * c.width, 1)
 
