@@ -98,9 +98,9 @@ def gates(weights):
     held = g.input("context", ["pictures", HIDDEN, ROWS, COLUMNS])
     names = ("convz", "convr", "convq")
     bias = np.concatenate([g.weights.take(f"update.gru.{name}.bias", (HIDDEN,)) for name in names])
-    tiles = Tiles(g, held)
-    x = tiles.conv(tiles.split(held, HIDDEN), "update.gru.context", _gate_weights(g, names, of_context=True), bias)
-    g.output("gates", tiles.join(x, 3 * HIDDEN), ["pictures", 3 * HIDDEN, ROWS, COLUMNS])
+    weight = _gate_weights(g, names, of_context=True)
+    x = Tiles(g, held).conv_plain(held, "update.gru.context", weight, bias)
+    g.output("gates", x, ["pictures", 3 * HIDDEN, ROWS, COLUMNS])
     return g
 
 
@@ -166,14 +166,19 @@ def aggregate(weights):
     net = g.input("net", [EDGES, HIDDEN, ROWS, COLUMNS])
     # averages[s, e] = 1 / (edges of source s) where e is one of them, else 0.
     averages = g.input("averages", [SOURCES, EDGES])
-    a = g.relu(g.conv(net, "update.agg.conv1", HIDDEN, HIDDEN, 3))
+    tiles = Tiles(g, net)
+
+    def conv(x, key):
+        return g.relu(tiles.conv_plain(x, key, *g.kernel(key, HIDDEN, HIDDEN)))
+
+    a = conv(net, "update.agg.conv1")
     flat = g.node("Flatten", [a], axis=1)
     mean = g.node("MatMul", [averages, flat])
     # One source per row, in the shape of a feature map again.
     size = g.node("Shape", [a], start=1)
     leading = g.constant("minus_one", np.array([-1], np.int64))
     a = g.node("Reshape", [mean, g.node("Concat", [leading, size], axis=0)])
-    a = g.relu(g.conv(a, "update.agg.conv2", HIDDEN, HIDDEN, 3))
+    a = conv(a, "update.agg.conv2")
     g.output("aggregate", a, [SOURCES, HIDDEN, ROWS, COLUMNS])
     eta = g.node("Softplus", [g.conv(a, "update.agg.eta.0", HIDDEN, 1, 3)])
     scale = g.constant("hundredth", np.array(0.01, np.float32))

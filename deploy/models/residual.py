@@ -26,8 +26,7 @@ def layer(g, x, key, width_in, width, blocks, stride, norm=None, tiled=True):
             of_norm = f"{key}.{name[0]}.bn{name[1]}" if norm else None
             return tiles.clear(g.relu(tiles.conv(x, full, *g.kernel(full, before, width, of_norm))))
         if tiled and step == 1 and before == width:
-            own = Tiles(g, x)
-            x = own.join(own.conv(own.split(x, width), full, *g.kernel(full, width, width)), width)
+            x = Tiles(g, x).conv_plain(x, full, *g.kernel(full, width, width))
         else:
             x = g.conv(x, full, before, width, 3, step)
         return g.relu(normalised(x, name))

@@ -107,8 +107,7 @@ def context(c, weights):
     g = Graph("context", weights)
     x = _backbone(g, c, g.input("pair", [PAIR, 6, "height", "width"]), "cnet", 6)
     tiles = Tiles(g, x)
-    x = _conv(g, tiles, tiles.split(x, 2 * c.width), "init_conv", 2 * c.width, 2 * c.width)
-    x = tiles.join(x, 2 * c.width)
+    x = tiles.conv_plain(x, "init_conv", *g.kernel("init_conv", 2 * c.width, 2 * c.width))
     net = g.channels(x, 0, c.width)
     flow, uncertainty = _flow_head(g, c, tiles, tiles.split(net, c.width))
     g.output("net", net, [PAIR, c.width, ROWS, COLUMNS])
@@ -164,9 +163,8 @@ def update(c, weights):
 def upsample(c, weights):
     g = Graph("upsample", weights)
     x = g.input("net", [PAIR, c.width, ROWS, COLUMNS])
-    tiles = Tiles(g, x)
-    x = g.relu(_conv(g, tiles, tiles.split(x, c.width), "upsample_weight.0", c.width, 2 * c.width))
-    x = tiles.join(x, 2 * c.width)
+    first = "upsample_weight.0"
+    x = g.relu(Tiles(g, x).conv_plain(x, first, *g.kernel(first, c.width, 2 * c.width)))
     x = g.conv(x, "upsample_weight.2", 2 * c.width, 576, 1)
     x = g.mul(x, g.constant("quarter", np.array(0.25, np.float32)))
     g.output("logits", x, [PAIR, 576, ROWS, COLUMNS])

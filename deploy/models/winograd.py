@@ -117,6 +117,11 @@ class Tiles:
             return x
         return g.add(x, g.constant(f"{key}.bias", bias.reshape(-1, 1, 1)))
 
+    def conv_plain(self, x, key, weight, bias):
+        """The same of a map [items, channels, rows, columns], which stays one."""
+        x = self.split(x, weight.shape[1])
+        return self.join(self.conv(x, key, weight, bias), weight.shape[0])
+
     def _samples_of(self, key, weight):
         """A kernel at the points, [6, 6, out, in]. The file keeps the kernel; ONNX Runtime computes this
         once, when it loads the graph."""
