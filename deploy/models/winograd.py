@@ -10,7 +10,6 @@ the result is off by twice the rounding of a plain convolution (the usual 0, +-1
 """
 
 import numpy as np
-from onnx import TensorProto
 
 TILE = 4
 POINTS = (0.0, 0.5**0.5, -(0.5**0.5), 2**0.5, -(2**0.5))
@@ -126,15 +125,10 @@ class Tiles:
         """A kernel at the points, [6, 6, out, in]. The file keeps the kernel; ONNX Runtime computes this
         once, when it loads the graph."""
         g = self.graph
-        channels_out, channels = weight.shape[:2]
-        samples = g.constant("winograd_kernel", KERNEL)
+        both = np.einsum("xj,yi->xyji", KERNEL, KERNEL)
+        samples = g.constant("winograd_kernel", both.astype(np.float32))
         x = g.constant(f"{key}.weight", weight.transpose(2, 3, 0, 1))
-        # Rounded once: sums are of float64.
-        x = g.node("Cast", [x], to=TensorProto.DOUBLE)
-        x = g.node("Reshape", [x, _integers(g, [3, -1])])
-        x = g.node("Reshape", [g.node("MatMul", [samples, x]), _integers(g, [SAMPLES, 3, -1])])
-        x = g.node("Reshape", [g.node("MatMul", [samples, x]), _integers(g, [SAMPLES, SAMPLES, channels_out, channels])])
-        return g.node("Cast", [x], to=TensorProto.FLOAT)
+        return g.node("Einsum", [samples, x], equation="xyji,jioc->xyoc")
 
 
 def _integers(g, values):
