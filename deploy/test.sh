@@ -87,10 +87,10 @@ convert_models() {
     local python="$work/models-venv/bin/python -B"
     say "tests: the model converter"
     if [ ! -f "$golden/droid_nets.npz" ]; then
-        (cd deploy/models && $python -m unittest test_converter)
+        (cd deploy/models && $python -m unittest test_converter test_winograd)
         return
     fi
-    (cd deploy/models && PLUMBLINE_GOLDEN=$golden $python -m unittest test_converter)
+    (cd deploy/models && PLUMBLINE_GOLDEN=$golden $python -m unittest test_converter test_winograd)
     rm -rf "$work/learned"
     $python deploy/models/parity.py "$golden" --out "$work/learned"
 }

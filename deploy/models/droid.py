@@ -19,6 +19,8 @@ deviation, sides multiples of 8. Changes and motions are x, y in cells of the 1/
 import numpy as np
 
 from graph import Graph, WeightsError
+from residual import layer
+from winograd import CHANNELS, Tiles
 
 WIDTH = 32  # of the encoders' first layer
 HIDDEN = 128
@@ -46,30 +48,22 @@ def state_dict(tensors):
     return named
 
 
-def _encoder(g, x, key, channels_out, normalised):
-    def norm(x, width):
-        return g.instance_norm(x, width) if normalised else x
-
-    x = g.relu(norm(g.conv(x, f"{key}.conv1", 3, WIDTH, 7, 2), WIDTH))
+def _encoder(g, x, key, channels_out, norm=None):
+    x = g.conv(x, f"{key}.conv1", 3, WIDTH, 7, 2)
+    x = g.relu(g.instance_norm(x, WIDTH) if norm else x)
     before = WIDTH
-    for layer, stride in enumerate(STRIDES, 1):
-        width = WIDTH << (layer - 1)
-        for block in range(2):
-            name = f"{key}.layer{layer}.{block}"
-            step = stride if block == 0 else 1
-            y = g.relu(norm(g.conv(x, f"{name}.conv1", before, width, 3, step), width))
-            y = g.relu(norm(g.conv(y, f"{name}.conv2", width, width, 3), width))
-            if step != 1:
-                x = norm(g.conv(x, f"{name}.downsample.0", before, width, 1, step), width)
-            x = g.relu(g.add(x, y))
-            before = width
+    for number, stride in enumerate(STRIDES, 1):
+        width = WIDTH << (number - 1)
+        # Convolutions of the first layer's few channels are no quicker in tiles.
+        x = layer(g, x, f"{key}.layer{number}", before, width, 2, stride, norm, tiled=number > 1)
+        before = width
     return g.conv(x, f"{key}.conv2", before, channels_out, 1)
 
 
 def features(weights):
     g = Graph("features", weights)
     x = g.input("picture", ["pictures", 3, "height", "width"])
-    x = _encoder(g, x, "fnet", HIDDEN, normalised=True)
+    x = _encoder(g, x, "fnet", HIDDEN, norm="instance")
     g.output("features", x, ["pictures", HIDDEN, ROWS, COLUMNS])
     return g
 
@@ -77,7 +71,7 @@ def features(weights):
 def context(weights):
     g = Graph("context", weights)
     x = g.input("picture", ["pictures", 3, "height", "width"])
-    x = _encoder(g, x, "cnet", 2 * HIDDEN, normalised=False)
+    x = _encoder(g, x, "cnet", 2 * HIDDEN)
     net, held = g.channels(x, 0, HIDDEN), g.channels(x, HIDDEN, 2 * HIDDEN)
     g.output("net", g.tanh(net), ["pictures", HIDDEN, ROWS, COLUMNS])
     g.output("context", g.relu(held), ["pictures", HIDDEN, ROWS, COLUMNS])
@@ -90,17 +84,12 @@ CONTEXT_PART = slice(HIDDEN, 2 * HIDDEN)
 
 
 def _gate_weights(g, names, of_context):
-    """The 3x3 weights of gates, one after the other, for the context's channels or for all others."""
+    """The 3x3 kernels of gates, one after the other, for the context's channels or for all others."""
     taken = []
     for name in names:
         whole = g.weights.take(f"update.gru.{name}.weight", (HIDDEN, INNER, 3, 3))
         taken.append(whole[:, CONTEXT_PART] if of_context else np.delete(whole, CONTEXT_PART, axis=1))
-    part = "context" if of_context else "rest"
-    return g.constant(f"update.gru.{'+'.join(names)}.{part}", np.concatenate(taken))
-
-
-def _conv(g, x, weight, *bias, kernel=3):
-    return g.node("Conv", [x, weight, *bias], kernel_shape=[kernel] * 2, pads=[kernel // 2] * 4)
+    return np.concatenate(taken)
 
 
 def gates(weights):
@@ -109,35 +98,44 @@ def gates(weights):
     held = g.input("context", ["pictures", HIDDEN, ROWS, COLUMNS])
     names = ("convz", "convr", "convq")
     bias = np.concatenate([g.weights.take(f"update.gru.{name}.bias", (HIDDEN,)) for name in names])
-    x = _conv(g, held, _gate_weights(g, names, of_context=True), g.constant("update.gru.bias", bias))
+    weight = _gate_weights(g, names, of_context=True)
+    x = Tiles(g, held).conv_plain(held, "update.gru.context", weight, bias)
     g.output("gates", x, ["pictures", 3 * HIDDEN, ROWS, COLUMNS])
     return g
 
 
-def _gru(g, h, of_context, x):
-    """The gated unit with a global context: h' = (1 - z) h + z q. `of_context` is what `gates` gives."""
+def _gru(g, tiles, h, of_context, x):
+    """The gated unit with a global context: h' = (1 - z) h + z q. `of_context` is what `gates` gives; `x`
+    and h' are in tiles."""
     key = "update.gru"
     gate = g.sigmoid(g.conv(h, f"{key}.w", HIDDEN, HIDDEN, 1))
     mean = g.node("GlobalAveragePool", [g.mul(gate, h)])
+    h = tiles.split(h, HIDDEN)
 
     def gated(inputs, names, first):
         """What enters the gates of these names, of which `first` stand before in `gates`."""
         everywhere = [g.conv(mean, f"{key}.{name}_glo", HIDDEN, HIDDEN, 1) for name in names]
         everywhere = g.concat(*everywhere) if len(names) > 1 else everywhere[0]
         own = g.channels(of_context, first * HIDDEN, (first + len(names)) * HIDDEN)
-        x = _conv(g, inputs, _gate_weights(g, names, of_context=False))
-        return g.add(g.add(x, own), everywhere)
+        own = tiles.split(g.add(own, everywhere), len(names) * HIDDEN)
+        inputs = g.node("Concat", inputs, axis=CHANNELS)
+        weight = _gate_weights(g, names, of_context=False)
+        return g.add(tiles.conv(inputs, f"{key}.{'+'.join(names)}", weight, None), own)
 
-    zr = g.sigmoid(gated(g.concat(h, x), ("convz", "convr"), 0))
-    z, r = g.channels(zr, 0, HIDDEN), g.channels(zr, HIDDEN, 2 * HIDDEN)
-    q = g.tanh(gated(g.concat(g.mul(r, h), x), ("convq",), 2))
-    one = g.constant("one", np.array(1.0, np.float32))
-    return g.add(g.mul(g.node("Sub", [one, z]), h), g.mul(z, q))
+    def part(x, first):
+        bounds = (g.constant(f"index_{n}", np.array([n], np.int64)) for n in (first, first + HIDDEN, CHANNELS))
+        return g.node("Slice", [x, *bounds])
+
+    zr = g.sigmoid(gated([h, x], ("convz", "convr"), 0))
+    z, r = part(zr, 0), part(zr, HIDDEN)
+    q = g.tanh(gated([g.mul(r, h), x], ("convq",), 2))
+    # h + z (q - h), which is the same.
+    return tiles.clear(g.add(h, g.mul(z, g.node("Sub", [q, h]))))
 
 
-def _head(g, net, key):
-    x = g.relu(g.conv(net, f"{key}.0", HIDDEN, HIDDEN, 3))
-    return g.conv(x, f"{key}.2", HIDDEN, 2, 3)
+def _head(g, tiles, net, key):
+    x = tiles.conv(net, f"{key}.0", *g.kernel(f"{key}.0", HIDDEN, HIDDEN))
+    return g.conv(tiles.join(g.relu(x), HIDDEN), f"{key}.2", HIDDEN, 2, 3)
 
 
 def update(weights):
@@ -146,14 +144,20 @@ def update(weights):
     of_context = g.input("gates", [EDGES, 3 * HIDDEN, ROWS, COLUMNS])
     correlation = g.input("correlation", [EDGES, CORRELATIONS, ROWS, COLUMNS])
     motion = g.input("motion", [EDGES, 4, ROWS, COLUMNS])
+    tiles = Tiles(g, net)
+
+    def conv(x, key, width):
+        x = tiles.conv(tiles.split(x, HIDDEN), key, *g.kernel(key, HIDDEN, width))
+        return tiles.clear(g.relu(x))
+
     c = g.relu(g.conv(correlation, "update.corr_encoder.0", CORRELATIONS, HIDDEN, 1))
-    c = g.relu(g.conv(c, "update.corr_encoder.2", HIDDEN, HIDDEN, 3))
+    c = conv(c, "update.corr_encoder.2", HIDDEN)
     f = g.relu(g.conv(motion, "update.flow_encoder.0", 4, HIDDEN, 7))
-    f = g.relu(g.conv(f, "update.flow_encoder.2", HIDDEN, HIDDEN // 2, 3))
-    net = _gru(g, net, of_context, g.concat(c, f))
-    g.output("next_net", net, [EDGES, HIDDEN, ROWS, COLUMNS])
-    g.output("target_change", _head(g, net, "update.delta"), [EDGES, 2, ROWS, COLUMNS])
-    g.output("weight", g.sigmoid(_head(g, net, "update.weight")), [EDGES, 2, ROWS, COLUMNS])
+    f = conv(f, "update.flow_encoder.2", HIDDEN // 2)
+    net = _gru(g, tiles, net, of_context, g.node("Concat", [c, f], axis=CHANNELS))
+    g.output("next_net", tiles.join(net, HIDDEN), [EDGES, HIDDEN, ROWS, COLUMNS])
+    g.output("target_change", _head(g, tiles, net, "update.delta"), [EDGES, 2, ROWS, COLUMNS])
+    g.output("weight", g.sigmoid(_head(g, tiles, net, "update.weight")), [EDGES, 2, ROWS, COLUMNS])
     return g
 
 
@@ -162,14 +166,19 @@ def aggregate(weights):
     net = g.input("net", [EDGES, HIDDEN, ROWS, COLUMNS])
     # averages[s, e] = 1 / (edges of source s) where e is one of them, else 0.
     averages = g.input("averages", [SOURCES, EDGES])
-    a = g.relu(g.conv(net, "update.agg.conv1", HIDDEN, HIDDEN, 3))
+    tiles = Tiles(g, net)
+
+    def conv(x, key):
+        return g.relu(tiles.conv_plain(x, key, *g.kernel(key, HIDDEN, HIDDEN)))
+
+    a = conv(net, "update.agg.conv1")
     flat = g.node("Flatten", [a], axis=1)
     mean = g.node("MatMul", [averages, flat])
     # One source per row, in the shape of a feature map again.
     size = g.node("Shape", [a], start=1)
     leading = g.constant("minus_one", np.array([-1], np.int64))
     a = g.node("Reshape", [mean, g.node("Concat", [leading, size], axis=0)])
-    a = g.relu(g.conv(a, "update.agg.conv2", HIDDEN, HIDDEN, 3))
+    a = conv(a, "update.agg.conv2")
     g.output("aggregate", a, [SOURCES, HIDDEN, ROWS, COLUMNS])
     eta = g.node("Softplus", [g.conv(a, "update.agg.eta.0", HIDDEN, 1, 3)])
     scale = g.constant("hundredth", np.array(0.01, np.float32))

@@ -11,6 +11,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 OPSET = 20  # the first with Gelu; read by ONNX Runtime since 1.17
 IR_VERSION = 9
+NORM_EPSILON = 1e-5
 
 
 class WeightsError(Exception):
@@ -128,20 +129,35 @@ class Graph:
         product = self.node("MatMul", [x, self.constant(f"{key}.weight", weight.T)])
         return self.node("Add", [product, self.weight(f"{key}.bias", (width_out,))], name=key)
 
-    def batch_norm(self, x, key, channels, twin=None):
-        """Batch normalisation by its running statistics, epsilon 1e-5. `twin` is a second name under
-        which the same tensors may be stored."""
-        inputs = [x]
-        for part in ("weight", "bias", "running_mean", "running_var"):
-            value = (
-                self.weights.take_twin(f"{key}.{part}", f"{twin}.{part}", (channels,))
-                if twin else self.weights.take(f"{key}.{part}", (channels,))
-            )
-            inputs.append(self.constant(f"{key}.{part}", value))
+    def _norm_parts(self, key, channels, twin=None):
+        """A batch normalisation's tensors by name, in the order of ONNX."""
         for name in (key, twin):
             if name:
                 self.weights.ignore(f"{name}.num_batches_tracked")
-        return self.node("BatchNormalization", inputs, name=key, epsilon=1e-5)
+        return {
+            part: self.weights.take_twin(f"{key}.{part}", f"{twin}.{part}", (channels,))
+            if twin else self.weights.take(f"{key}.{part}", (channels,))
+            for part in ("weight", "bias", "running_mean", "running_var")
+        }
+
+    def batch_norm(self, x, key, channels, twin=None):
+        """Batch normalisation by its running statistics, epsilon 1e-5. `twin` is a second name under
+        which the same tensors may be stored."""
+        parts = self._norm_parts(key, channels, twin).items()
+        inputs = [self.constant(f"{key}.{part}", value) for part, value in parts]
+        return self.node("BatchNormalization", [x, *inputs], name=key, epsilon=NORM_EPSILON)
+
+    def kernel(self, key, channels_in, channels_out, norm=None):
+        """Weight and bias of a 3x3 convolution, with the batch normalisation `norm` that follows it, if
+        any, made part of them."""
+        weight = self.weights.take(f"{key}.weight", (channels_out, channels_in, 3, 3))
+        bias = self.weights.take(f"{key}.bias", (channels_out,))
+        if norm is None:
+            return weight, bias
+        parts = self._norm_parts(norm, channels_out)
+        gain = parts["weight"] / np.sqrt(parts["running_var"].astype(np.float64) + NORM_EPSILON)
+        bias = (bias - parts["running_mean"].astype(np.float64)) * gain + parts["bias"]
+        return (weight * gain[:, None, None, None]).astype(np.float32), bias.astype(np.float32)
 
     def instance_norm(self, x, channels):
         """Normalisation of every channel of every picture over its pixels, epsilon 1e-5, no weights."""

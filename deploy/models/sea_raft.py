@@ -17,6 +17,8 @@ import re
 import numpy as np
 
 from graph import Graph, WeightsError
+from residual import layer
+from winograd import CHANNELS, Tiles
 
 LEVELS = 4
 STRIDES = (1, 2, 2)
@@ -72,31 +74,24 @@ def configuration(tensors):
     )
 
 
-def _block(g, x, key, width_in, width, stride):
-    y = g.conv(x, f"{key}.conv1", width_in, width, 3, stride)
-    y = g.relu(g.batch_norm(y, f"{key}.bn1", width))
-    y = g.conv(y, f"{key}.conv2", width, width, 3)
-    y = g.relu(g.batch_norm(y, f"{key}.bn2", width))  # before the addition, unlike the common ResNet
-    if stride != 1 or width_in != width:
-        x = g.conv(x, f"{key}.downsample.0", width_in, width, 1, stride)
-        x = g.batch_norm(x, f"{key}.bn3", width, twin=f"{key}.downsample.1")
-    return g.relu(g.add(x, y))
-
-
 def _backbone(g, c, x, key, channels):
     x = g.conv(x, f"{key}.conv1", channels, c.initial_width, 7, 2)
     x = g.relu(g.batch_norm(x, f"{key}.bn1", c.initial_width))
     before = c.initial_width
-    for layer, (width, blocks, stride) in enumerate(zip(c.widths, c.blocks, STRIDES), 1):
-        for block in range(blocks):
-            x = _block(g, x, f"{key}.layer{layer}.{block}", before, width, stride if block == 0 else 1)
-            before = width
+    for number, (width, blocks, stride) in enumerate(zip(c.widths, c.blocks, STRIDES), 1):
+        x = layer(g, x, f"{key}.layer{number}", before, width, blocks, stride, norm="batch")
+        before = width
     return g.conv(x, f"{key}.final_conv", before, 2 * c.width, 1)
 
 
-def _flow_head(g, c, net):
-    """Flow (or its change) and uncertainty."""
-    y = g.relu(g.conv(net, "flow_head.0", c.width, 2 * c.width, 3))
+def _conv(g, tiles, x, key, width_in, width):
+    """A 3x3 convolution in tiles."""
+    return tiles.conv(x, key, *g.kernel(key, width_in, width))
+
+
+def _flow_head(g, c, tiles, net):
+    """Flow (or its change) and uncertainty, of a hidden state in tiles."""
+    y = tiles.join(g.relu(_conv(g, tiles, net, "flow_head.0", c.width, 2 * c.width)), 2 * c.width)
     y = g.conv(y, "flow_head.2", 2 * c.width, 6, 3)
     return g.channels(y, 0, 2), g.channels(y, 2, 6)
 
@@ -111,9 +106,10 @@ def features(c, weights):
 def context(c, weights):
     g = Graph("context", weights)
     x = _backbone(g, c, g.input("pair", [PAIR, 6, "height", "width"]), "cnet", 6)
-    x = g.conv(x, "init_conv", 2 * c.width, 2 * c.width, 3)
+    tiles = Tiles(g, x)
+    x = tiles.conv_plain(x, "init_conv", *g.kernel("init_conv", 2 * c.width, 2 * c.width))
     net = g.channels(x, 0, c.width)
-    flow, uncertainty = _flow_head(g, c, net)
+    flow, uncertainty = _flow_head(g, c, tiles, tiles.split(net, c.width))
     g.output("net", net, [PAIR, c.width, ROWS, COLUMNS])
     g.output("context", g.channels(x, c.width, 2 * c.width), [PAIR, c.width, ROWS, COLUMNS])
     g.output("flow", flow, [PAIR, 2, ROWS, COLUMNS])
@@ -121,15 +117,16 @@ def context(c, weights):
     return g
 
 
-def _motion(g, c, correlation, flow):
+def _motion(g, c, tiles, correlation, flow):
     """The motion encoder."""
     key, width = "update_block.encoder", c.width
     x = g.relu(g.conv(correlation, f"{key}.convc1", c.correlations, 2 * width, 1))
-    x = g.relu(g.conv(x, f"{key}.convc2", 2 * width, 3 * width // 2, 3))
+    x = g.relu(_conv(g, tiles, tiles.split(x, 2 * width), f"{key}.convc2", 2 * width, 3 * width // 2))
     f = g.relu(g.conv(flow, f"{key}.convf1", 2, width, 7))
-    f = g.relu(g.conv(f, f"{key}.convf2", width, width // 2, 3))
-    m = g.relu(g.conv(g.concat(x, f), f"{key}.conv", 2 * width, width - 2, 3))
-    return g.concat(m, flow)
+    f = g.relu(_conv(g, tiles, tiles.split(f, width), f"{key}.convf2", width, width // 2))
+    both = tiles.clear(g.node("Concat", [x, f], axis=CHANNELS))
+    m = g.relu(_conv(g, tiles, both, f"{key}.conv", 2 * width, width - 2))
+    return g.concat(tiles.join(m, width - 2), flow)
 
 
 def _refine(g, c, x, key):
@@ -152,10 +149,11 @@ def update(c, weights):
     held = g.input("context", [PAIR, c.width, ROWS, COLUMNS])
     correlation = g.input("correlation", [PAIR, c.correlations, ROWS, COLUMNS])
     flow = g.input("flow", [PAIR, 2, ROWS, COLUMNS])
-    motion = _motion(g, c, correlation, flow)
+    tiles = Tiles(g, flow)
+    motion = _motion(g, c, tiles, correlation, flow)
     for block in range(c.refinements):
         net = _refine(g, c, g.concat(net, held, motion), f"update_block.refine.{block}")
-    change, uncertainty = _flow_head(g, c, net)
+    change, uncertainty = _flow_head(g, c, tiles, tiles.split(net, c.width))
     g.output("next_net", net, [PAIR, c.width, ROWS, COLUMNS])
     g.output("flow_change", change, [PAIR, 2, ROWS, COLUMNS])
     g.output("uncertainty", uncertainty, [PAIR, 4, ROWS, COLUMNS])
@@ -165,7 +163,8 @@ def update(c, weights):
 def upsample(c, weights):
     g = Graph("upsample", weights)
     x = g.input("net", [PAIR, c.width, ROWS, COLUMNS])
-    x = g.relu(g.conv(x, "upsample_weight.0", c.width, 2 * c.width, 3))
+    first = "upsample_weight.0"
+    x = g.relu(Tiles(g, x).conv_plain(x, first, *g.kernel(first, c.width, 2 * c.width)))
     x = g.conv(x, "upsample_weight.2", 2 * c.width, 576, 1)
     x = g.mul(x, g.constant("quarter", np.array(0.25, np.float32)))
     g.output("logits", x, [PAIR, 576, ROWS, COLUMNS])

@@ -26,7 +26,7 @@ for name in sea-raft-m droid; do
     "$venv/bin/python" -c 'import sys, numpy, safetensors.numpy
 numpy.savez(sys.argv[2], **safetensors.numpy.load_file(sys.argv[1]))' "$work/$name.safetensors" "$work/$name.npz"
 done
-ours=$(cargo build ${PROFILE---release} -q -p plumbline-worker --example learned_times --message-format=json |
+ours=$(cargo build ${PROFILE---release} -q --workspace --example learned_times --message-format=json |
     sed -n 's/.*"executable":"\([^"]*\/learned_times[^"]*\)".*/\1/p' | tail -n 1)
 
 for ((round = 0; round < rounds; round++)); do

@@ -16,9 +16,10 @@ use prometheus_client::registry::Registry;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::child;
+use crate::child::{self, ComputeLimits};
 use crate::fetch::Fetcher;
 use crate::fleet::{self, Compute, FETCH_RETRIES, Metrics, Stop, WorkerOptions, serve};
+use crate::learned::ModelSettings;
 use crate::packaging::Packaging;
 use crate::settings::Settings;
 
@@ -243,7 +244,7 @@ async fn run_until_stopped(usable: Usable) -> anyhow::Result<u8> {
         let pulse = Pulse::new(move || is_ready.borrow().as_ref().is_some_and(Pulse::is_alive));
         tokio::spawn(observe::serve(listener, registry, pulse));
     }
-    warn_of_the_consumer_timeout(&options);
+    warn_of_the_consumer_timeout(&options, &settings.models);
     tell_of_the_sandbox(&options);
     let mut told = stop.clone();
     let broker = tokio::select! {
@@ -257,18 +258,27 @@ async fn run_until_stopped(usable: Usable) -> anyhow::Result<u8> {
 }
 
 /// A job is settled only when it is done, and the broker does not wait for ever.
-fn warn_of_the_consumer_timeout(options: &WorkerOptions) {
+fn warn_of_the_consumer_timeout(options: &WorkerOptions, models: &ModelSettings) {
     let Compute::Children { limits, .. } = &options.compute else {
         return;
     };
-    // A fetch, a child that dies at the last moment, and another one.
-    let longest_s = f64::from(1 + child::MAX_ATTEMPTS) * limits.deadline_s;
+    let longest_s = longest_job_s(limits, models);
     if longest_s > BROKER_DEFAULT_TIMEOUT.as_secs_f64() {
         tracing::warn!(
             longest_s,
             "a job may take longer than RabbitMQ waits by default (consumer_timeout, 1800 s): unless it was raised there, the broker gives such jobs to other workers, and in the end to nobody"
         );
     }
+}
+
+/// How long a job may take, seconds: a fetch, a child that dies at the last moment, and another one. Jobs
+/// with learned networks, which may take longer, end at once where there is no library to run these.
+fn longest_job_s(limits: &ComputeLimits, models: &ModelSettings) -> f64 {
+    let deadline_s = match models.runtime {
+        Some(_) => limits.deadline_s.max(limits.learned_deadline_s),
+        None => limits.deadline_s,
+    };
+    f64::from(1 + child::MAX_ATTEMPTS) * deadline_s
 }
 
 /// What compute processes cannot do on this machine, and what they could.
@@ -314,5 +324,21 @@ mod tests {
             .map(|line| Cli::try_parse_from(line.split(' ')).unwrap())
             .collect();
         assert_eq!(parsed.len(), 3);
+    }
+
+    #[test]
+    fn a_worker_with_networks_may_need_longer_than_one_without() {
+        let limits = ComputeLimits {
+            deadline_s: 100.0,
+            learned_deadline_s: 5000.0,
+            ..ComputeLimits::default()
+        };
+        let without = ModelSettings::default();
+        let with = ModelSettings {
+            runtime: Some(PathBuf::from("libonnxruntime.so")),
+            ..without.clone()
+        };
+        assert_eq!(longest_job_s(&limits, &without), 300.0);
+        assert_eq!(longest_job_s(&limits, &with), 15_000.0);
     }
 }

@@ -232,3 +232,32 @@ impl ComputingArgs {
         Ok(Measuring { profile, slots })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use plumbline_common::store::S3Options;
+    use plumbline_worker::learned::ModelSettings;
+    use plumbline_worker::profile::Rung;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_profile_without_networks_is_the_same_wherever_models_are() {
+        let dir = tempfile::tempdir().unwrap();
+        let settings = ModelSettings {
+            place: Some(dir.path().to_string_lossy().into_owned()),
+            runtime: Some(dir.path().join("libonnxruntime.so")),
+            ..ModelSettings::default()
+        };
+        let source = ModelSource::new(settings, S3Options::default());
+        for rung in [Rung::Draft, Rung::Standard, Rung::Accurate] {
+            let mut profile = Profile::new(rung);
+            let digest = profile.digest().unwrap();
+            name_models(&mut profile, &source).await.unwrap();
+            assert_eq!(profile.digest().unwrap(), digest);
+        }
+        // The place is asked where there is something to ask: it is empty.
+        let mut reference = Profile::new(Rung::Reference);
+        assert!(name_models(&mut reference, &source).await.is_err());
+    }
+}

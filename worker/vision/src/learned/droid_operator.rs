@@ -29,7 +29,8 @@ pub struct DroidOperatorParams {
     /// The first keyframe's hidden state and context are its first channel in all channels: upstream's
     /// slip, on which its scores rest.
     pub broadcast_first: bool,
-    /// Edges that go through the network together.
+    /// Edges that go through the network together. One by one is fastest: what an edge needs stays in the
+    /// caches.
     pub edges_per_call: usize,
 }
 
@@ -39,7 +40,7 @@ impl Default for DroidOperatorParams {
             keyframe_motion: 0.01,
             half_storage: true,
             broadcast_first: true,
-            edges_per_call: 8,
+            edges_per_call: 1,
         }
     }
 }
