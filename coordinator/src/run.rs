@@ -5,7 +5,7 @@
 
 mod error;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -27,8 +27,12 @@ use crate::metrics::Metrics;
 use crate::parts::{self, Parts};
 use crate::progress::say;
 use crate::publish::{self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication};
+use crate::reduce::reference::Reference;
 use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
 use crate::remote_out::RemoteOut;
+use crate::report::beside;
+use crate::report::player::Viewpoint;
+use crate::report::state::ReportState;
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
 use crate::stop::StopSignals;
 use crate::thresholds::FaultCalibration;
@@ -40,6 +44,9 @@ pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 
 /// The frozen list of videos, below [`STATE_DIRECTORY`].
 pub(crate) const FROZEN_FILE: &str = "corpus.jsonl";
+
+/// What is measured, beside it.
+pub(crate) const JOURNAL_FILE: &str = "journal";
 
 /// What the run is called on a fleet, beside it.
 const RUN_FILE: &str = "run";
@@ -71,6 +78,8 @@ pub struct ScoreOptions {
     pub fleet: Option<FleetOptions>,
     /// Where the run is counted.
     pub metrics: Metrics,
+    /// What was typed, for the record.
+    pub command: String,
 }
 
 impl ScoreOptions {
@@ -87,7 +96,10 @@ impl ScoreOptions {
             .group_by
             .as_ref()
             .map_or("none".to_owned(), GroupBy::to_string);
-        let mut told = vec![("group by".to_owned(), group_by)];
+        let mut told = vec![
+            ("command".to_owned(), self.command.clone()),
+            ("group by".to_owned(), group_by),
+        ];
         if self.fleet.is_some() {
             let theirs = "a fleet, each worker within limits of its own".to_owned();
             told.push(("measured by".to_owned(), theirs));
@@ -303,7 +315,7 @@ impl Workplace {
     }
 
     fn journal_path(&self) -> PathBuf {
-        self.state.root().join("journal")
+        self.state.root().join(JOURNAL_FILE)
     }
 }
 
@@ -420,14 +432,31 @@ fn publish_run(
     };
     let locations: Vec<String> = entries.iter().map(Entry::address).collect();
     let thumbnails = |video: &VideoId| journal.read(video).ok()??.outcome.thumbnails;
+    let state = ReportState {
+        options: options.told(),
+        reference: options
+            .reduce
+            .reference
+            .as_deref()
+            .map(Reference::frozen)
+            .cloned(),
+    };
+    state.write(&OutDir::create(out.root().join(STATE_DIRECTORY))?)?;
+    let (beside, mut files) = beside::write(out, &reduced.rows, &thumbnails)?;
+    let entry_of: HashMap<&VideoId, &Entry> =
+        entries.iter().map(|entry| (&entry.video, entry)).collect();
+    let viewpoint = Viewpoint::of(&options.out.to_string_lossy());
     let report = report::render(&ReportInput {
         title: &options.sources.join(", "),
         corpus: &corpus,
         rows: &reduced.rows,
         thumbnails: &thumbnails,
         heat_maps,
+        beside: &beside,
+        player: &|video| viewpoint.address(&entry_of.get(video)?.location),
+        reference: state.reference.as_ref(),
         costs: Some(CostSummary::of(costs)),
-        options: &options.told(),
+        options: &state.options,
         ranked: DEFAULT_RANKED,
     });
     let publication = Publication {
@@ -438,7 +467,8 @@ fn publish_run(
         report_html: Some(&report),
         corpus: &corpus,
     };
-    Ok(publish::publish(out, &publication, &options.formats)?)
+    files.extend(publish::publish(out, &publication, &options.formats)?);
+    Ok(files)
 }
 
 /// The frozen list beside the journal, for a person who asks what a run was about.

@@ -11,6 +11,7 @@ mod queue;
 mod reduce;
 mod reducing;
 mod reference;
+mod report;
 mod sample;
 mod score;
 mod slam;
@@ -61,6 +62,7 @@ enum Command {
     Profile(profile::ProfileArgs),
     Reference(reference::ReferenceArgs),
     Reduce(Box<reduce::ReduceArgs>),
+    Report(report::ReportArgs),
     Sample(sample::SampleArgs),
     Slam(slam::SlamArgs),
     /// Measures videos for a parent process (internal)
@@ -86,6 +88,7 @@ pub fn main() -> ExitCode {
         Command::Profile(args) => profile::run(args),
         Command::Reference(args) => reference::run(args),
         Command::Reduce(args) => reduce::run(*args),
+        Command::Report(args) => report::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Slam(args) => slam::run(args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)

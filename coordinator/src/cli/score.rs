@@ -17,6 +17,7 @@ use super::watching::WatchingArgs;
 use super::{Failure, exit, print_json, summary};
 use crate::corpus::{CorpusError, GroupBy};
 use crate::metrics::Metrics;
+use crate::report::state::told_command;
 use crate::run::{self, RunError, ScoreOptions};
 use crate::watch;
 
@@ -173,6 +174,7 @@ impl ScoreArgs {
             slots,
             fleet: None,
             metrics: Metrics::default(),
+            command: told_command(std::env::args()),
         })
     }
 }

@@ -3,13 +3,14 @@
 
 use std::collections::BTreeMap;
 
-use maud::{Markup, html};
+use maud::{Markup, PreEscaped, html};
 
-use super::distribution::signal_histogram;
+use super::axis::Axis;
+use super::chart::{self, Histogram};
 use super::page::Section;
 use super::text;
 use crate::publish::CorpusFile;
-use crate::reduce::outcome::{Population, Range, Recipe, WeightSensitivity};
+use crate::reduce::outcome::{Population, Range, Recipe, SignalStatistics, WeightSensitivity};
 
 /// The measures by column name, and what a reader calls them.
 const MEASURES: [(&str, &str, &str); 2] = [
@@ -66,8 +67,8 @@ fn histogram(corpus: &Population, (name, title, unit): (&str, &str, &str)) -> Ma
     };
     html! {
         figure.panel {
-            figcaption { span.name { (title) } span.quiet { (unit) } }
-            @if let Some(bars) = signal_histogram(signal) { (bars) }
+            figcaption { span.name { (title) } code { (name) } }
+            @if let Some(bars) = as_the_entropy_saw_it(signal, title, unit) { (PreEscaped(bars)) }
             p.quiet {
                 "H " (text::fixed(signal.entropy_nats, 2)) " nats · mean " (text::magnitude(signal.mean))
                 " · σ " (text::magnitude(signal.std)) " · median " (text::magnitude(signal.median))
@@ -75,6 +76,34 @@ fn histogram(corpus: &Population, (name, title, unit): (&str, &str, &str)) -> Ma
             }
         }
     }
+}
+
+/// The very bins behind the entropy.
+fn as_the_entropy_saw_it(signal: &SignalStatistics, title: &str, unit: &str) -> Option<String> {
+    let (lo, hi) = (*signal.edges.first()?, *signal.edges.last()?);
+    #[expect(clippy::cast_precision_loss, reason = "shares on a page")]
+    let count = |count: &u64| *count as f64;
+    let all: f64 = signal.counts.iter().map(count).sum();
+    let shares: Vec<f64> = signal
+        .counts
+        .iter()
+        .map(|n| count(n) / all.max(1.0))
+        .collect();
+    let highest = shares.iter().copied().fold(0.0, f64::max);
+    let says = format!(
+        "{title} measure over {} bins, mean {}; the fullest bin holds {}% of the videos",
+        text::length(signal.counts.len()),
+        text::magnitude(signal.mean),
+        text::fixed(Some(100.0 * highest), 0)
+    );
+    chart::histogram(&Histogram {
+        axis: Axis::spanning(lo, hi),
+        shares: &shares,
+        outlines: &[],
+        mark: signal.mean,
+        unit,
+        says: &says,
+    })
 }
 
 fn weights(corpus: &Population, groups: &BTreeMap<String, Population>) -> Markup {
@@ -120,12 +149,18 @@ fn weights(corpus: &Population, groups: &BTreeMap<String, Population>) -> Markup
 }
 
 fn firmness(published: &BTreeMap<String, f64>, sensitivity: &WeightSensitivity) -> Markup {
-    let line = |name: &str, weights: &BTreeMap<String, f64>| {
+    let bins = &sensitivity.freedman_diaconis_bins;
+    let line = |name: &str,
+                weights: &BTreeMap<String, f64>,
+                bins: Option<&BTreeMap<String, u16>>| {
         html! {
             tr {
                 th scope="row" { (name) }
                 @for (measure, ..) in MEASURES {
-                    td { (text::fixed(weights.get(measure).copied(), 2)) }
+                    td {
+                        (text::fixed(weights.get(measure).copied(), 2))
+                        @if let Some(bins) = bins.and_then(|bins| bins.get(measure)) { span.quiet { " (" (bins) " bins)" } }
+                    }
                 }
             }
         }
@@ -141,9 +176,9 @@ fn firmness(published: &BTreeMap<String, f64>, sensitivity: &WeightSensitivity) 
                     }
                 }
                 tbody {
-                    (line("As used", published))
-                    (line("Freedman–Diaconis bins", &sensitivity.freedman_diaconis))
-                    (line("0.5–99.5% range", &sensitivity.winsorised))
+                    (line("As used", published, None))
+                    (line("Freedman–Diaconis bins", &sensitivity.freedman_diaconis, Some(bins)))
+                    (line("0.5–99.5% range", &sensitivity.winsorised, None))
                 }
             }
         }

@@ -29,6 +29,9 @@ fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> S
         rows: &rows,
         thumbnails: &thumbnails,
         heat_maps: &BTreeMap::new(),
+        beside: &BTreeMap::new(),
+        player: &|_| None,
+        reference: None,
         costs: Some(costs),
         options: &[("--group-by".to_owned(), "path:1".to_owned())],
         ranked: DEFAULT_RANKED,
@@ -198,6 +201,9 @@ fn a_picture_that_is_too_large_is_left_out() {
         corpus: &corpus,
         rows: &rows,
         heat_maps: &BTreeMap::new(),
+        beside: &BTreeMap::new(),
+        player: &|_| None,
+        reference: None,
         thumbnails: &|_| {
             Some(Thumbnails {
                 frame_jpeg: vec![0; 10 << 20],
