@@ -19,7 +19,6 @@ use plotters::backend::SVGBackend;
 use plotters::chart::ChartContext;
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::ValueFormatter;
-use plotters::coord::types::RangedCoordf64;
 use plotters::coord::{cartesian::Cartesian2d, ranged1d::Ranged};
 use plotters::drawing::{DrawingArea, IntoDrawingArea};
 use plotters::style::{Color, FontDesc, IntoFont, RGBColor};
@@ -77,7 +76,6 @@ fn font() -> FontDesc<'static> {
 }
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Plane<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Draws on an area of `size` units; `None` where plotters fails.
 fn drawn(
