@@ -53,9 +53,10 @@
 
   // ---- the table -------------------------------------------------------------------------------
   const PAGE = 50;
-  const usual = ["video", "group", "status", "decision", "anomaly", "anomaly_lo", "anomaly_hi",
+  const usual = ["video", "anomaly", "decision", "group", "status", "anomaly_lo", "anomaly_hi",
     ...Object.keys(data.parts), "motion_px", "reproj_px", "aepe_worldscore_px", "scene",
     "paper_peak_frame", "fault_kinds"];
+  const usualFirst = [...new Set([...usual, ...byName.keys()])].filter((name) => byName.has(name)).map((name) => byName.get(name));
   const visible = new Set(usual.filter((name) => byName.has(name) && !byName.get(name).empty));
   visible.add("video");
   let order = rows;
@@ -102,7 +103,7 @@
 
   const head = () => {
     const line = element("tr");
-    for (const column of columns.filter(({ name }) => visible.has(name))) {
+    for (const column of usualFirst.filter(({ name }) => visible.has(name))) {
       const number = column.kind === "number";
       const button = element("button", { type: "button", title: `Sort by ${column.name}` });
       column.name.split(/(?<=_)/).forEach((part, i) => button.append(...(i ? [element("wbr")] : []), part));
@@ -136,7 +137,7 @@
     head();
     const first = page * PAGE;
     const shown = found.slice(first, first + PAGE);
-    const drawn = columns.filter((column) => visible.has(column.name));
+    const drawn = usualFirst.filter((column) => visible.has(column.name));
     table.tBodies[0].replaceChildren(
       ...shown.map((row) => element("tr", {}, ...drawn.map((column) => cell(column, row)))));
     const of = found.length === rows.length ? "" : ` of the ${rows.length.toLocaleString("en")} here`;

@@ -7,7 +7,17 @@ use super::fixture::{corpus_of, hostile, rollouts, thumbnails};
 use super::*;
 use crate::reduce::outcome::Recipe;
 
-fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> String {
+fn page(title: &str, rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> String {
+    page_beside(title, rows, recipe, warnings, &BTreeMap::new())
+}
+
+fn page_beside(
+    title: &str,
+    mut rows: Vec<Row>,
+    recipe: Recipe,
+    warnings: &[&str],
+    beside: &BesideReport,
+) -> String {
     let mut corpus = corpus_of(&mut rows, recipe);
     corpus.statistics.warnings = warnings.iter().map(|&text| text.to_owned()).collect();
     let costs = CostSummary::of(&[CostRow {
@@ -29,7 +39,7 @@ fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> S
         rows: &rows,
         thumbnails: &thumbnails,
         heat_maps: &BTreeMap::new(),
-        beside: &BTreeMap::new(),
+        beside,
         player: &|_| None,
         reference: None,
         costs: Some(costs),
@@ -70,14 +80,12 @@ fn pages_to_look_at() {
             &["<b>w</b>"],
         ),
     );
+    let rows = rollouts(5_000, 40);
+    let out = crate::publish::OutDir::create(&folder).unwrap();
+    let (beside, _) = beside::write(&out, &rows, &thumbnails).unwrap();
     put(
         "large.html",
-        page(
-            "s3://rollouts/all",
-            rollouts(10_000, 40),
-            Recipe::Balanced,
-            &[],
-        ),
+        page_beside("s3://rollouts/all", rows, Recipe::Balanced, &[], &beside),
     );
     put(
         "single.html",
