@@ -97,10 +97,15 @@ fn drawn(
 fn themed(svg: &str, (width, height): (u32, u32), says: &str) -> String {
     // Everything after the opening tag, which plotters always writes first.
     let body = svg.split_once('>').map_or("", |(_, body)| body);
-    let says = maud::html! { (says) }.into_string();
-    let mut page = format!(
-        "<svg class=\"chart\" viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{says}\">\n{body}"
-    );
+    // A mark in a key says nothing that the word beside it does not.
+    let role = match says {
+        "" => "aria-hidden=\"true\"".to_owned(),
+        says => format!(
+            "role=\"img\" aria-label=\"{}\"",
+            maud::html! { (says) }.into_string()
+        ),
+    };
+    let mut page = format!("<svg class=\"chart\" viewBox=\"0 0 {width} {height}\" {role}>\n{body}");
     for (index, variable) in VARIABLES.iter().enumerate() {
         page = page.replace(
             &format!("\"#FEED{index:02X}\""),
