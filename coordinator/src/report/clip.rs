@@ -15,7 +15,7 @@ pub(super) fn small(measured: &Measurement) -> Option<String> {
     let series = &measured.series;
     let lines = vec![
         line(measured, "", 0, &series.reproj_px),
-        line(measured, "", 1, &series.aepe_px),
+        line(measured, "", 2, &series.aepe_px),
     ];
     let mut marks = faults(measured, MARKS);
     marks.extend(peak(measured));
@@ -43,12 +43,12 @@ pub(super) fn large(measured: &Measurement) -> Option<String> {
         ),
         panel(
             "end-point error, px",
-            vec![line(measured, "", 1, &series.aepe_px)],
+            vec![line(measured, "", 2, &series.aepe_px)],
             faults(measured, MARKS),
         ),
         panel(
             "motion, px per frame",
-            vec![line(measured, "", 2, &series.motion_px)],
+            vec![line(measured, "", 3, &series.motion_px)],
             Vec::new(),
         ),
     ];

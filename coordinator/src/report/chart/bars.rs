@@ -71,12 +71,10 @@ pub(in crate::report) fn bars(bars: &[Bar<'_>], says: &str) -> Option<String> {
                     .draw_series(lines.map(|line| PathElement::new(line, ink)))
                     .map_err(DrawError::new)?;
             }
-            let value = Text::new(
-                format!("{:.1}%", bar.percent),
-                (middle, above),
-                named(Ink::Text, VPos::Bottom),
-            );
-            chart.draw_series([value]).map_err(DrawError::new)?;
+            let (at, above) = chart.backend_coord(&(middle, above));
+            let value = format!("{:.1}%", bar.percent);
+            let value = Text::new(value, (at, above - 5), named(Ink::Text, VPos::Bottom));
+            area.draw(&value).map_err(DrawError::new)?;
             let (at, below) = chart.backend_coord(&(middle, 0.0));
             let name = Text::new(
                 bar.name.to_owned(),
