@@ -17,6 +17,9 @@ use crate::process;
 /// Longest wait for anything on a page: generous, for a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// Longest wait for an answer of the driver, whose first brings up a whole browser.
+const ANSWER: Duration = Duration::from_secs(180);
+
 /// Keys as WebDriver names them.
 pub mod key {
     /// Tabulator.
@@ -88,7 +91,7 @@ impl Browser {
         std::thread::spawn(move || lines.map_while(Result::ok).for_each(drop));
         let config = ureq::Agent::config_builder()
             .http_status_as_error(false)
-            .timeout_global(Some(PATIENCE));
+            .timeout_global(Some(ANSWER));
         let mut browser = Self {
             driver,
             agent: config.build().into(),

@@ -102,7 +102,7 @@ fn stem(row: &Row) -> String {
     hasher.finalize().to_hex().chars().take(DIGITS).collect()
 }
 
-/// Whether a file in OUT is one that [`write`] names.
+/// Whether a file in OUT is one that [`write()`] names.
 #[must_use]
 pub fn is_ours(name: &str) -> bool {
     let below = name
