@@ -46,7 +46,8 @@ fn rows() -> String {
         });
         if index % 10 == 0 {
             row["fault_frames"] = json!([index % 60, 3]);
-            row["fault_kinds"] = json!(["jump", ["freeze", "vanish"][index / 10 % 2]]);
+            let other = ["freeze", "vanish"][index / 10 % 2];
+            row["fault_kinds"] = json!(["jump", other]);
         }
         if index % 97 == 5 {
             row = json!({"video": row["video"], "group": task, "model": row["model"], "status": "undecodable",
