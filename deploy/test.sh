@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Sets up and runs the tests.
 # Usage: deploy/test.sh [SUITE]
-#   unit      formatting, lints, documentation, and the tests beside the code
+#   unit      formatting, lints, documentation, the deployment's files, and the tests beside the code
 #   cli       end-to-end tests of the built command
 #   browser   the report in a headless Chromium, which it installs
 #   parity    numbers of the reference implementations
@@ -24,6 +24,7 @@ lint() {
     cargo fmt --all --check
     cargo clippy --locked --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --document-private-items --quiet
+    deploy/check.sh
 }
 
 # run FILTER [WRAPPER]: the tests that a nextest filter names; the command under test is built first.
@@ -51,6 +52,34 @@ export_prototype() {
     touch "$out/done"
 }
 
+# Small model sets of random weights, for the tests of the command; made anew when the converter is newer.
+seed_models() {
+    local work=${CARGO_TARGET_DIR:-$root/target}/tmp
+    deploy/models/setup.sh "$work/models-venv" >/dev/null
+    [ -z "$(find deploy/models -name '*.py' -newer "$work/models/done" 2>&1)" ] && return
+    say "converting models of random weights"
+    rm -rf "$work/models"
+    mkdir -p "$work/models"
+    local network name python="$work/models-venv/bin/python -B"
+    for network in sea-raft droid; do
+        name=${network/raft/raft-small}
+        $python deploy/models/seeded.py "$name" "$work/$name.safetensors"
+        $python deploy/models/convert.py "$network" "$work/$name.safetensors" --out "$work/models/$name" >/dev/null
+        rm "$work/$name.safetensors"
+    done
+    touch "$work/models/done"
+}
+
+# The library by which trainers read shards, with which the tests read what was kept of them.
+install_trainers() {
+    local venv=${CARGO_TARGET_DIR:-$root/target}/tmp/trainers-venv
+    if ! "$venv/bin/python" -c '' 2>/dev/null; then
+        apt_install python3-venv
+        python3 -m venv "$venv"
+    fi
+    "$venv/bin/pip" install --quiet --disable-pip-version-check -r tests/trainers/requirements.txt
+}
+
 # The model converter's own tests, its networks against the reference's numbers where those are at hand, and
 # the converted sets for the tests in Rust.
 convert_models() {
@@ -75,11 +104,11 @@ servers=deploy/servers.sh
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
     unit) lint; run "not ($cli) and not ($browser) and not ($parity) and not ($numerics) and not ($fleet)" ;;
-    cli) run "$cli" ;;
+    cli) install_trainers; seed_models; run "$cli" ;;
     browser) apt_install chromium chromium-driver; run "$browser" ;;
     parity) export_prototype; convert_models; run "$parity" ;;
     numerics) run "$numerics" ;;
-    fleet) run "$fleet" "$servers" ;;
-    all) apt_install chromium chromium-driver; lint; export_prototype; convert_models; run 'all()' "$servers" ;;
+    fleet) seed_models; run "$fleet" "$servers" ;;
+    all) apt_install chromium chromium-driver; lint; export_prototype; convert_models; seed_models; install_trainers; run 'all()' "$servers" ;;
     *) echo "unknown suite $suite: unit, cli, browser, parity, numerics or fleet" >&2; exit 2 ;;
 esac

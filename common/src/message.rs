@@ -26,15 +26,95 @@ pub enum Location {
     ImageSequence(#[serde(with = "serde_bytes")] Vec<u8>),
     /// One object of an object store.
     Object(ObjectLocation),
+    /// A part of a file or an object. A variant and no field beside the others, so that a reader that knows
+    /// no parts refuses the job instead of scoring the whole.
+    Part(PartLocation),
 }
 
+/// Some of a file or an object that holds several videos.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PartLocation {
+    /// What it is a part of.
+    pub whole: Whole,
+    /// Which part.
+    pub part: Part,
+}
+
+/// What can have parts.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Whole {
+    /// One file; the platform's path bytes.
+    File(#[serde(with = "serde_bytes")] Vec<u8>),
+    /// One object of an object store.
+    Object(ObjectLocation),
+}
+
+/// Which part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// A run of bytes that is a video file of its own: a member of a tar.
+    Bytes {
+        /// The first of them.
+        offset: u64,
+        /// How many.
+        bytes: u64,
+    },
+    /// The frames of a longer video whose presentation times t are `from_ns` ≤ t < `to_ns`, nanoseconds on
+    /// that video's clock: an episode among others.
+    Interval {
+        /// The earliest time that belongs to it; before 0 is the video's start.
+        from_ns: i64,
+        /// The earliest time after it.
+        to_ns: i64,
+    },
+}
+
+impl Location {
+    /// The path bytes of the file or directory of this machine that is read, if one is.
+    #[must_use]
+    pub fn path(&self) -> Option<&[u8]> {
+        match self {
+            Self::File(path) | Self::ImageSequence(path) => Some(path),
+            Self::Part(PartLocation { whole, .. }) => match whole {
+                Whole::File(path) => Some(path),
+                Whole::Object(_) => None,
+            },
+            Self::Object(_) => None,
+        }
+    }
+
+    /// The object that is read, if one is.
+    #[must_use]
+    pub fn object(&self) -> Option<&ObjectLocation> {
+        match self {
+            Self::Object(object) => Some(object),
+            Self::Part(PartLocation { whole, .. }) => match whole {
+                Whole::Object(object) => Some(object),
+                Whole::File(_) => None,
+            },
+            Self::File(_) | Self::ImageSequence(_) => None,
+        }
+    }
+
+    /// Which part of it, if not the whole.
+    #[must_use]
+    pub fn part(&self) -> Option<Part> {
+        match self {
+            Self::Part(PartLocation { part, .. }) => Some(*part),
+            Self::File(_) | Self::ImageSequence(_) | Self::Object(_) => None,
+        }
+    }
+}
+
+/// The path or address, of a part that of the whole.
 impl std::fmt::Display for Location {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::File(path) | Self::ImageSequence(path) => {
-                f.write_str(&String::from_utf8_lossy(path))
-            }
-            Self::Object(object) => object.fmt(f),
+        match (self.path(), self.object()) {
+            (Some(path), _) => f.write_str(&String::from_utf8_lossy(path)),
+            (None, Some(object)) => object.fmt(f),
+            (None, None) => Ok(()),
         }
     }
 }
@@ -68,13 +148,25 @@ pub struct Job {
     pub video: VideoId,
     /// Its bytes.
     pub location: Location,
-    /// Size when the corpus was frozen; a video that changed since is not scored silently.
+    /// Size when the corpus was frozen, of the whole where the video is a part; a video that changed since is
+    /// not scored silently.
     pub bytes: u64,
     /// Modification time when the corpus was frozen, nanoseconds since the epoch.
     pub modified_ns: i128,
     /// The profile's canonical form.
     #[serde(with = "serde_bytes")]
     pub profile: Vec<u8>,
+}
+
+impl Job {
+    /// Bytes that are read for it: a part may be fewer than the file.
+    #[must_use]
+    pub fn bytes_read(&self) -> u64 {
+        match self.location.part() {
+            Some(Part::Bytes { bytes, .. }) => bytes,
+            Some(Part::Interval { .. }) | None => self.bytes,
+        }
+    }
 }
 
 /// One job of a run on a fleet.

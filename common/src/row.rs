@@ -177,6 +177,19 @@ pub struct Measurement {
     pub aepe_px: Option<f64>,
     /// s_p: forward/backward end-point error exactly as WorldScore computes it.
     pub aepe_worldscore_px: Option<f64>,
+    /// DROID-SLAM's mean reprojection error exactly as WorldScore computes it, cells (1/8 px of a picture of
+    /// 512² px): s_3 of the profile `reference`, the only one that has it.
+    #[serde(default)]
+    pub reproj_droid_px: Option<f64>,
+    /// WorldScore's 3D consistency, 0 to 100, of `reproj_droid_px`.
+    #[serde(default)]
+    pub worldscore_3d: Option<f64>,
+    /// WorldScore's photometric consistency, 0 to 100, of `aepe_worldscore_px` by SEA-RAFT.
+    #[serde(default)]
+    pub worldscore_photometric: Option<f64>,
+    /// Digests of the model sets that had a part in it.
+    #[serde(default)]
+    pub models: Option<String>,
     /// Share of in-frame pixels whose forward and backward flow disagree.
     pub occluded_fraction: Option<f64>,
     /// P, clip median.
@@ -236,6 +249,10 @@ impl Measurement {
             layer_residual_px: None,
             aepe_px: None,
             aepe_worldscore_px: None,
+            reproj_droid_px: None,
+            worldscore_3d: None,
+            worldscore_photometric: None,
+            models: None,
             occluded_fraction: None,
             piecewise_residual: None,
             appearance_ratio: None,
@@ -276,6 +293,27 @@ pub struct Cost {
     pub signals_s: f64,
     /// Motion models and dense adjustment.
     pub geometry_s: f64,
+    /// Pairs of frames whose flows, there and back, were searched for.
+    #[serde(default)]
+    pub flow_pairs: u64,
+    /// Pairs whose flows were not needed: followed from frame to frame, or between equal frames.
+    #[serde(default)]
+    pub flow_pairs_saved: u64,
+    /// Frames that equal the one before bit for bit, and were not prepared again.
+    #[serde(default)]
+    pub frames_repeated: u64,
+    /// SEA-RAFT, as WorldScore's photometric consistency.
+    #[serde(default)]
+    pub photometric_s: f64,
+    /// DROID-SLAM, as WorldScore's 3D consistency.
+    #[serde(default)]
+    pub tracking_s: f64,
+    /// Updates of single edges by DROID-SLAM's network.
+    #[serde(default)]
+    pub edge_updates: u64,
+    /// The most memory that the compute process had had by then.
+    #[serde(default)]
+    pub peak_memory_mib: u64,
     /// Steps of the dense adjustment.
     #[serde(default)]
     pub adjustment_steps: u64,
@@ -331,4 +369,10 @@ pub struct Row {
     pub recipe: String,
     /// Digest of the profile that measured it.
     pub profile_digest: String,
+    /// The name of that profile, where rows of a run come from different ones (a cascade).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rung: Option<String>,
+    /// The probability that the top profile of a cascade decides otherwise; 0 where it was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flip_probability: Option<f64>,
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use plumbline_common::id::{RunId, VideoId};
 use plumbline_common::message::{
     self, FleetJob, FleetResult, Job, Location, MAX_MESSAGE_BYTES, MessageError, ObjectLocation,
-    Outcome, Thumbnails, WIRE_VERSION,
+    Outcome, Part, PartLocation, Thumbnails, WIRE_VERSION, Whole,
 };
 use plumbline_common::row::{Cost, GeometryMethod, Measurement, Scene, Series, Status};
 use serde::Serialize;
@@ -48,6 +48,37 @@ fn object_job(etag: Option<&str>, modified_s: Option<i64>) -> FleetJob {
             }),
             ..file_job()
         },
+    }
+}
+
+fn member_job() -> Job {
+    Job {
+        location: Location::Part(PartLocation {
+            whole: Whole::File(b"/data/\xff.tar".to_vec()),
+            part: Part::Bytes {
+                offset: u64::MAX,
+                bytes: 1,
+            },
+        }),
+        ..file_job()
+    }
+}
+
+fn episode_job() -> FleetJob {
+    let object = object_job(Some("e"), None);
+    let whole = object.job.location.object().cloned().map(Whole::Object);
+    FleetJob {
+        job: Job {
+            location: Location::Part(PartLocation {
+                whole: whole.unwrap(),
+                part: Part::Interval {
+                    from_ns: -50_000_000,
+                    to_ns: i64::MAX,
+                },
+            }),
+            ..object.job
+        },
+        run: object.run,
     }
 }
 
@@ -117,6 +148,8 @@ fn messages_of_version_1_decode_for_ever() {
     assert_eq!(outcome("outcome-scored-v1"), scored());
     assert_eq!(outcome("outcome-failed-v1"), failed());
     let fleet_job = |name| message::decode::<FleetJob>(&bytes(name)).unwrap();
+    assert_eq!(job("job-member-v1"), member_job());
+    assert_eq!(fleet_job("fleet-job-episode-v1"), episode_job());
     let whole = object_job(Some("\"e-1\""), Some(-1));
     assert_eq!(fleet_job("fleet-job-object-v1"), whole);
     let listed_bare = object_job(None, None);
@@ -146,6 +179,8 @@ fn write_fixtures() {
     }
     write("job-file", &file_job());
     write("job-images", &images_job());
+    write("job-member", &member_job());
+    write("fleet-job-episode", &episode_job());
     write("outcome-scored", &scored());
     write("outcome-failed", &failed());
     let whole = object_job(Some("\"e-1\""), Some(-1));

@@ -51,6 +51,41 @@ async fn a_settlement_that_the_broker_did_not_wait_for_is_lost_and_the_consumer_
     assert_eq!(broker.ready(&JOBS).await.unwrap(), 0);
 }
 
+/// Whoever has other things to do stops waiting for a message now and then, and comes again.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_consumer_subscribes_anew_however_briefly_it_is_waited_for() {
+    const MESSAGES: usize = 50;
+    let url = server("PLUMBLINE_TEST_AMQP_URL");
+    let options = amqp_options("brief");
+    let broker = AmqpBroker::connect(&url, options.clone()).await.unwrap();
+    let mut consumer = broker.consume(&JOBS, 2).await.unwrap();
+    for brief_ms in [1, 2, 3, 5, 8, 13, 21] {
+        broker_script(&["ctl", "-q", "close_all_connections", "as told"]);
+        // Of its own, since a connection that another opens serves a consumer, too.
+        let other = AmqpBroker::connect(&url, options.clone()).await.unwrap();
+        publish_all(&other, &JOBS, numbered(MESSAGES), MESSAGES)
+            .await
+            .unwrap();
+        let started = std::time::Instant::now();
+        let mut received = 0;
+        while received < MESSAGES {
+            let brief = Duration::from_millis(brief_ms);
+            if let Ok(delivery) = timeout(brief, consumer.next()).await {
+                delivery.unwrap().settle(Settlement::Done).await.unwrap();
+                received += 1;
+            }
+            assert!(
+                started.elapsed() < DEADLINE,
+                "{received} of {MESSAGES}, {brief:?} each; consumers: {:?}",
+                other.consumers(&JOBS).await
+            );
+        }
+        while other.consumers(&JOBS).await.unwrap() != 1 {
+            assert!(started.elapsed() < DEADLINE, "there are others");
+        }
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_broker_loses_nothing_and_slots_stay_bounded() {
     const MESSAGES: usize = 3000;

@@ -14,6 +14,7 @@ use plumbline_worker::explain::{DrawJob, Picture};
 use plumbline_worker::fetch::Fetcher;
 use plumbline_worker::measure::Detailed;
 use plumbline_worker::measure::frames::{FramesJob, SampledFrames};
+use plumbline_worker::slam::SlamOutcome;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
@@ -71,6 +72,18 @@ impl Work for Detail {
 
     async fn ask(&self, slot: &mut ComputeSlot) -> Result<Detailed, SlotError> {
         slot.measure_in_detail(&self.0).await
+    }
+}
+
+/// A camera's trajectory, and depths where they can be known.
+#[derive(Debug, Clone)]
+pub struct Tracking(pub Job);
+
+impl Work for Tracking {
+    type Answer = (VideoId, SlamOutcome);
+
+    async fn ask(&self, slot: &mut ComputeSlot) -> Result<Self::Answer, SlotError> {
+        Ok((self.0.video.clone(), slot.track(&self.0).await?))
     }
 }
 

@@ -1,6 +1,8 @@
 //! Plumbline's coordinator: freezes a corpus, hands out jobs, collects rows, reduces, publishes.
 
+pub mod agreement;
 mod answers;
+pub mod cascade;
 pub mod cli;
 pub mod collect;
 pub mod corpus;
@@ -31,4 +33,5 @@ pub mod sample;
 pub mod slam;
 mod stop;
 pub mod thresholds;
+pub mod tradeoff;
 pub mod watch;

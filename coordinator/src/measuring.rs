@@ -12,18 +12,31 @@ use crate::keep::Keep;
 use crate::progress::Progress;
 use crate::run::{RunError, ScoreOptions};
 
+/// Whether an entry could be looked at.
+pub(crate) fn is_readable(entry: &Entry) -> bool {
+    entry.bytes.is_some() && entry.modified_ns.is_some()
+}
+
 /// The readable entries that the journal does not answer, by index.
 pub(crate) fn missing(entries: &[Entry], journal: &Journal) -> Vec<usize> {
-    let readable = |entry: &Entry| entry.bytes.is_some() && entry.modified_ns.is_some();
     let indexed = entries.iter().enumerate();
     indexed
-        .filter(|(_, entry)| readable(entry) && !journal.contains(&entry.video))
+        .filter(|(_, entry)| is_readable(entry) && !journal.contains(&entry.video))
         .map(|(index, _)| index)
         .collect()
 }
 
-/// Takes answers until every missing entry has one; gives the compute time spent, seconds. Whatever was
-/// taken is in the journal, however it ends.
+/// What answers have cost, seconds over all slots.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Spent {
+    /// Wall time.
+    pub(crate) compute_s: f64,
+    /// Processor time.
+    pub(crate) cpu_s: f64,
+}
+
+/// Takes answers until every one that was `asked` for has come, or more than `most_cpu_s` is spent on them.
+/// Whatever was taken is in the journal, however it ends.
 ///
 /// # Errors
 /// [`RunError`].
@@ -31,38 +44,41 @@ pub(crate) async fn collect(
     answers: &mut dyn Answers,
     options: &ScoreOptions,
     entries: &[Entry],
+    asked: usize,
+    most_cpu_s: f64,
     keep: &mut Keep,
-) -> Result<f64, RunError> {
+) -> Result<Spent, RunError> {
     let before = keep.journal.len();
-    let total = before + missing(entries, &keep.journal).len();
+    let total = before + asked;
     let mut progress = Progress::start(total as u64, before as u64);
     options.metrics.corpus(entries.len(), before);
-    let collected = take_all(answers, options, entries, keep, &mut progress).await;
+    let collected = take_all(answers, options, entries, most_cpu_s, keep, &mut progress).await;
     progress.finish();
-    let compute_s = collected?;
+    let spent = collected?;
     let done = keep.journal.len();
-    if done < total {
+    if done < total && spent.cpu_s < most_cpu_s {
         return Err(RunError::Unmeasured {
             missing: total - done,
             total: entries.len(),
         });
     }
-    Ok(compute_s)
+    Ok(spent)
 }
 
 async fn take_all(
     answers: &mut dyn Answers,
     options: &ScoreOptions,
     entries: &[Entry],
+    most_cpu_s: f64,
     keep: &mut Keep,
     progress: &mut Progress,
-) -> Result<f64, RunError> {
-    let mut compute_s = 0.0;
+) -> Result<Spent, RunError> {
+    let mut spent = Spent::default();
     let mut unflushed = 0;
     let flushing = keep.flushing();
     let mut ticks = interval(flushing.every);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    loop {
+    while spent.cpu_s < most_cpu_s {
         tokio::select! {
             answer = answers.next() => {
                 let Some(answer) = answer? else { break };
@@ -74,7 +90,8 @@ async fn take_all(
                 if !keep.journal.contains(video) {
                     progress.advance(outcome.measurement.status == Status::Scored);
                 }
-                compute_s += outcome.cost.total_s;
+                spent.compute_s += outcome.cost.total_s;
+                spent.cpu_s += outcome.cost.cpu_s;
                 let status = outcome.measurement.status;
                 keep.append(&record(&entries[index], answer, options))?;
                 options.metrics.answer(status, keep.journal.len());
@@ -87,7 +104,7 @@ async fn take_all(
         }
     }
     flush(answers, keep, &mut unflushed).await?;
-    Ok(compute_s)
+    Ok(spent)
 }
 
 /// First the rows, then the word that they are kept.

@@ -20,7 +20,7 @@ use crate::reduce_files::{self, ReduceFilesError};
 use crate::report::player::Viewpoint;
 use crate::report::state::ReportState;
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput, beside};
-use crate::run::{FROZEN_FILE, JOURNAL_FILE, STATE_DIRECTORY};
+use crate::run::{FROZEN_FILE, JOURNAL_FILE, STATE_DIRECTORY, path_below};
 
 /// Why there is no report. Each text names the file and the remedy.
 #[derive(Debug, thiserror::Error)]
@@ -98,12 +98,12 @@ pub fn rebuild(out: &Path) -> Result<PathBuf, RebuildError> {
     let entries = read_entries(&state.root().join(FROZEN_FILE));
     let entry_of: HashMap<&VideoId, &Entry> =
         entries.iter().map(|entry| (&entry.video, entry)).collect();
-    let journal = open_journal(state.root(), &entries, &corpus)?;
-    let costs = match &journal {
-        Some(journal) => take_series(&mut rows, journal)?,
-        None => Vec::new(),
+    let journals = open_journals(state.root(), &entries, &corpus)?;
+    let costs = take_series(&mut rows, &journals)?;
+    let thumbnails = |video: &VideoId| {
+        let mut dearest_first = journals.iter().rev();
+        dearest_first.find_map(|measured| measured.journal.read(video).ok()??.outcome.thumbnails)
     };
-    let thumbnails = |video: &VideoId| journal.as_ref()?.read(video).ok()??.outcome.thumbnails;
     let told = ReportState::read(state.root());
     let viewpoint = Viewpoint::of(&out.to_string_lossy());
     let (beside, _) = beside::write(&place, &rows, &thumbnails)?;
@@ -120,7 +120,7 @@ pub fn rebuild(out: &Path) -> Result<PathBuf, RebuildError> {
         beside: &beside,
         player: &|video| viewpoint.address(&entry_of.get(video)?.location),
         reference: told.reference.as_ref(),
-        costs: journal.is_some().then(|| CostSummary::of(&costs)),
+        costs: (!journals.is_empty()).then(|| CostSummary::of(&costs)),
         options: &told.options,
         ranked: DEFAULT_RANKED,
     });
@@ -201,32 +201,64 @@ fn read_entries(file: &Path) -> Vec<Entry> {
         .collect()
 }
 
-fn open_journal(
+/// What one profile measured.
+struct Measured {
+    /// Its name, in a cascade.
+    rung: Option<String>,
+    digest: String,
+    journal: Journal,
+}
+
+/// The journals that are there, the cheapest profile's first.
+fn open_journals(
     state: &Path,
     entries: &[Entry],
     corpus: &CorpusFile,
-) -> Result<Option<Journal>, JournalError> {
-    let path = state.join(JOURNAL_FILE);
-    let Some(profile) = corpus.profile.as_ref().filter(|_| path.is_file()) else {
-        return Ok(None);
+) -> Result<Vec<Measured>, JournalError> {
+    let Some(profile) = &corpus.profile else {
+        return Ok(Vec::new());
     };
-    Journal::open(&path, true, entries, &profile.digest).map(Some)
+    let profiles: Vec<(Option<String>, &str)> = match &corpus.cascade {
+        None => vec![(None, &profile.digest)],
+        Some(cascade) => {
+            let rungs = cascade.profiles.iter();
+            rungs
+                .map(|rung| (Some(rung.name.clone()), rung.digest.as_str()))
+                .collect()
+        }
+    };
+    let top = state.join(JOURNAL_FILE);
+    let mut journals = Vec::new();
+    for (rung, digest) in profiles {
+        let path = match digest == profile.digest {
+            true => top.clone(),
+            false => path_below(&top, digest),
+        };
+        if path.is_file() {
+            journals.push(Measured {
+                rung,
+                digest: digest.to_owned(),
+                journal: Journal::open(&path, true, entries, digest)?,
+            });
+        }
+    }
+    Ok(journals)
 }
 
-/// Puts the series of the journal into the rows; gives what measuring them cost.
-fn take_series(rows: &mut [Row], journal: &Journal) -> Result<Vec<CostRow>, JournalError> {
+/// Puts series into the rows, each from the journal of the profile that it was scored with; gives what
+/// every measurement cost.
+fn take_series(rows: &mut [Row], journals: &[Measured]) -> Result<Vec<CostRow>, JournalError> {
     let mut costs = Vec::new();
     for row in rows {
-        let Some(record) = journal.read(&row.video)? else {
-            continue;
-        };
-        row.measured.series = record.outcome.measurement.series;
-        costs.push(CostRow {
-            video: row.video.clone(),
-            cost: record.outcome.cost,
-            attempts: record.attempts,
-            worker: record.worker,
-        });
+        for measured in journals {
+            let Some(record) = measured.journal.read(&row.video)? else {
+                continue;
+            };
+            costs.push(CostRow::of(&record, measured.rung.clone()));
+            if measured.digest == row.profile_digest {
+                row.measured.series = record.outcome.measurement.series;
+            }
+        }
     }
     Ok(costs)
 }

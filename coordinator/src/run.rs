@@ -3,7 +3,9 @@
 //! Every step can be killed and run again. `corpus.json` disappears first and is written last, so
 //! that it is there exactly when everything else is.
 
+mod cascade;
 mod error;
+mod journals;
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -15,20 +17,21 @@ use plumbline_common::row::{Measurement, Status};
 use plumbline_worker::profile::Profile;
 
 use crate::answers::Answers;
+use crate::cascade::record::CascadeRecord;
 use crate::collect::{Journal, JournalError};
-use crate::corpus::{self, Entry, GroupBy, Ignored};
+use crate::corpus::{self, Choice, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
 use crate::fleet::{self, FleetOptions, FleetRun, Questions};
 use crate::heat_maps::{self, HeatMaps};
 use crate::keep::Keep;
 use crate::lease::Lease;
-use crate::measuring::{self, job};
+use crate::measuring::{self, Spent, job};
 use crate::metrics::Metrics;
 use crate::parts::{self, Parts};
 use crate::progress::say;
 use crate::publish::{self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication};
 use crate::reduce::reference::Reference;
-use crate::reduce::{self, MeasuredVideo, ReduceOptions, Reduced};
+use crate::reduce::{MeasuredVideo, ReduceOptions, Reduced};
 use crate::remote_out::RemoteOut;
 use crate::report::beside;
 use crate::report::player::Viewpoint;
@@ -37,7 +40,10 @@ use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
 use crate::stop::StopSignals;
 use crate::thresholds::FaultCalibration;
 
+pub use cascade::CascadeOptions;
+use cascade::Climbed;
 pub use error::RunError;
+pub(crate) use journals::{Journals, collected};
 
 /// Where a run keeps what it needs to resume, below OUT.
 pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
@@ -58,8 +64,8 @@ pub struct ScoreOptions {
     pub sources: Vec<String>,
     /// Where results go.
     pub out: PathBuf,
-    /// How rows are grouped.
-    pub group_by: Option<GroupBy>,
+    /// Which of their videos, and how rows are grouped.
+    pub choice: Choice,
     /// How videos are measured.
     pub profile: Profile,
     /// How rows become decisions.
@@ -74,6 +80,8 @@ pub struct ScoreOptions {
     pub heat_maps: usize,
     /// Who computes here.
     pub slots: Slots,
+    /// Only uncertain videos are measured with the profile, the others with cheaper ones.
+    pub cascade: Option<CascadeOptions>,
     /// Who measures instead, where a fleet does.
     pub fleet: Option<FleetOptions>,
     /// Where the run is counted.
@@ -83,16 +91,22 @@ pub struct ScoreOptions {
 }
 
 impl ScoreOptions {
-    /// What the run is called on a fleet, if one measures it.
+    /// What the run is called, on a fleet and in an OUT in a store.
+    fn run_name(&self, entries: &[Entry]) -> Result<RunId, NotARunId> {
+        let name = self.fleet.as_ref().and_then(|fleet| fleet.name.as_deref());
+        fleet::run_name(name, entries, &self.reduce.profile_digest)
+    }
+
+    /// The same, if a fleet measures it.
     fn run_on_fleet(&self, entries: &[Entry]) -> Result<Option<RunId>, NotARunId> {
-        let digest = &self.reduce.profile_digest;
-        let name = |fleet: &FleetOptions| fleet::run_name(fleet.name.as_deref(), entries, digest);
-        self.fleet.as_ref().map(name).transpose()
+        let name = self.fleet.as_ref().map(|_| self.run_name(entries));
+        name.transpose()
     }
 
     /// The options that a reader of the report may ask for.
     fn told(&self) -> Vec<(String, String)> {
         let group_by = self
+            .choice
             .group_by
             .as_ref()
             .map_or("none".to_owned(), GroupBy::to_string);
@@ -107,7 +121,13 @@ impl ScoreOptions {
             let limits = &self.slots.limits;
             told.push((
                 "deadline per video".to_owned(),
-                format!("{} s", limits.deadline_s),
+                format!(
+                    "{} s",
+                    match self.profile.is_learned() {
+                        true => limits.learned_deadline_s,
+                        false => limits.deadline_s,
+                    }
+                ),
             ));
             told.push((
                 "memory per compute process".to_owned(),
@@ -129,7 +149,9 @@ pub struct Finished {
     pub files: Vec<String>,
     /// Rows, statistics and rewards.
     pub reduced: Reduced,
-    /// Videos measured now (the others were taken over).
+    /// What a cascade came to.
+    pub cascade: Option<CascadeRecord>,
+    /// Measurements made now (the others were taken over).
     pub measured_now: usize,
     /// Wall time of the run, seconds.
     pub elapsed_s: f64,
@@ -154,9 +176,8 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
     let started = Instant::now();
     let out = options.out.to_string_lossy();
     let s3 = options.slots.fetcher.s3_options();
-    let group_by = options.group_by.as_ref();
     let remote = RemoteOut::open(&out, s3).await?;
-    let listing = corpus::freeze_anywhere(&options.sources, group_by, &out, s3).await?;
+    let listing = corpus::freeze_anywhere(&options.sources, &options.choice, &out, s3).await?;
     tell_ignored(&listing.ignored);
     let entries = Arc::new(listing.entries);
 
@@ -168,97 +189,186 @@ pub async fn score(options: &ScoreOptions) -> Result<Finished, RunError> {
         let line = format!("{run}\n");
         workplace.state.put_atomic(RUN_FILE, line.as_bytes())?;
     }
-    let parts = match &remote {
-        None => None,
-        Some(remote) => Some(take_remote(remote, options, &entries, &workplace).await?),
-    };
-    let resume = options.resume || remote.is_some();
-    let journal = workplace.journal(options, resume, &entries)?;
-    let measured_before = journal.len();
-    if measured_before > 0 {
-        say(&format!(
-            "{measured_before} of {} videos were measured by an earlier run",
-            entries.len()
-        ));
+    if let Some(remote) = &remote {
+        take_remote(remote, options, &entries, &workplace).await?;
     }
-    let mut keep = Keep { journal, parts };
+    let site = Site {
+        options,
+        entries: Arc::clone(&entries),
+        workplace: &workplace,
+        remote: remote.as_ref(),
+    };
     let mut stop = StopSignals::listen();
+    let (climbed, answers) = match &options.cascade {
+        None => site.measure_all(run, &mut stop).await?,
+        Some(cascade) => (cascade::climb(&site, cascade, &mut stop).await?, None),
+    };
+
+    let done = entries.len();
+    let finishing = async {
+        let out = workplace.out.clone();
+        let published = finish(options, entries, climbed.measured, out).await?;
+        if let Some(remote) = &remote {
+            remote.upload(&published.files).await?;
+        }
+        if let Some(answers) = answers {
+            answers.finished().await?;
+        }
+        Ok::<_, RunError>(published)
+    };
+    let published = tokio::select! {
+        finished = finishing => finished?,
+        () = stop.recv() => return Err(RunError::Interrupted { done, total: done }),
+    };
+    Ok(Finished {
+        out: options.out.clone(),
+        run: climbed.run,
+        files: published.files,
+        measured_now: climbed.measured_now,
+        reduced: published.reduced,
+        cascade: published.cascade,
+        elapsed_s: started.elapsed().as_secs_f64(),
+        compute_s: climbed.compute_s,
+    })
+}
+
+/// Where a run measures, and what.
+struct Site<'a> {
+    options: &'a ScoreOptions,
+    entries: Arc<Vec<Entry>>,
+    workplace: &'a Workplace,
+    remote: Option<&'a RemoteOut>,
+}
+
+impl Site<'_> {
+    /// Where answers to the questions of `options` go.
+    fn keep(&self, options: &ScoreOptions, is_top: bool) -> Result<Keep, RunError> {
+        let resume = options.resume || self.remote.is_some();
+        let digest = &options.reduce.profile_digest;
+        let path = self.workplace.journal_path();
+        let path = match is_top {
+            true => path,
+            false => journal_below(&path, digest, resume)?,
+        };
+        let parts = match self.remote {
+            None => None,
+            Some(remote) => {
+                let run = options.run_name(&self.entries)?;
+                Some(Parts::new(Arc::clone(remote.store()), &run))
+            }
+        };
+        Ok(Keep {
+            journal: Journal::open(&path, resume, &self.entries, digest)?,
+            parts,
+        })
+    }
+
+    /// Measures everything with one profile; whoever answered is to be told when that is published.
+    async fn measure_all(
+        &self,
+        run: Option<RunId>,
+        stop: &mut StopSignals,
+    ) -> Result<(Climbed, Option<Box<dyn Answers>>), RunError> {
+        let Self {
+            options, entries, ..
+        } = self;
+        let mut keep = self.keep(options, true)?;
+        let measured_before = keep.journal.len();
+        if measured_before > 0 {
+            say(&format!(
+                "{measured_before} of {} videos were measured by an earlier run",
+                entries.len()
+            ));
+        }
+        let missing = measuring::missing(entries, &keep.journal);
+        let (keeping, all) = (&mut keep, f64::INFINITY);
+        let (spent, answers) =
+            measure(options, entries, missing, all, keeping, run.as_ref(), stop).await?;
+        let climbed = Climbed {
+            measured_now: keep.journal.len() - measured_before,
+            compute_s: spent.compute_s,
+            measured: Journals::Plain(keep.journal),
+            run,
+        };
+        Ok((climbed, Some(answers)))
+    }
+}
+
+/// The journal of a profile below the run's own; what an earlier run with that profile alone has measured is
+/// taken over.
+fn journal_below(top: &Path, digest: &str, resume: bool) -> Result<PathBuf, JournalError> {
+    let path = path_below(top, digest);
+    if resume && top.exists() && !path.exists() {
+        std::fs::copy(top, &path).map_err(|source| JournalError::Io {
+            path: path.clone(),
+            source,
+        })?;
+    }
+    Ok(path)
+}
+
+/// Where that journal lies.
+pub(crate) fn path_below(top: &Path, digest: &str) -> PathBuf {
+    let short = digest.get(..12).unwrap_or(digest);
+    top.with_file_name(format!("journal-{short}"))
+}
+
+/// Has the `asked` entries measured, and keeps the answers.
+async fn measure(
+    options: &ScoreOptions,
+    entries: &Arc<Vec<Entry>>,
+    asked: Vec<usize>,
+    most_cpu_s: f64,
+    keep: &mut Keep,
+    run: Option<&RunId>,
+    stop: &mut StopSignals,
+) -> Result<(Spent, Box<dyn Answers>), RunError> {
     let interrupted = |keep: &Keep| RunError::Interrupted {
         done: keep.journal.len(),
         total: entries.len(),
     };
+    let count = asked.len();
     let mut answers = tokio::select! {
-        answers = ask(options, &entries, &keep.journal, run.as_ref()) => answers?,
-        () = stop.recv() => return Err(interrupted(&keep)),
+        answers = ask(options, entries, asked, run) => answers?,
+        () = stop.recv() => return Err(interrupted(keep)),
     };
-    let collecting = measuring::collect(&mut *answers, options, &entries, &mut keep);
+    let collecting = measuring::collect(&mut *answers, options, entries, count, most_cpu_s, keep);
     let collected = tokio::select! {
         collected = collecting => collected,
-        () = stop.recv() => Err(interrupted(&keep)),
+        () = stop.recv() => Err(interrupted(keep)),
     };
     if collected.is_err() {
         keep.flush().await?;
-        if let Some(run) = &run {
+        if let Some(run) = run {
             say(&format!(
                 "workers go on with what is in the queue, unless told not to: plumbline fleet cancel {run}"
             ));
         }
     }
-    let compute_s = collected?;
-
-    let (done, total) = (keep.journal.len(), entries.len());
-    let finishing = async {
-        let out = workplace.out.clone();
-        let (reduced, files) = finish(options, entries, keep.journal, out).await?;
-        if let Some(remote) = &remote {
-            remote.upload(&files).await?;
-        }
-        answers.finished().await?;
-        Ok::<_, RunError>((reduced, files))
-    };
-    let (reduced, files) = tokio::select! {
-        finished = finishing => finished?,
-        () = stop.recv() => return Err(RunError::Interrupted { done, total }),
-    };
-    Ok(Finished {
-        out: options.out.clone(),
-        run,
-        files,
-        measured_now: done - measured_before,
-        reduced,
-        elapsed_s: started.elapsed().as_secs_f64(),
-        compute_s,
-    })
+    Ok((collected?, answers))
 }
 
-/// What an earlier run left in an OUT in a store, as this machine's journal; the frozen list, put there.
+/// What earlier runs left in an OUT in a store, as this machine's journal; the frozen list, put there.
 async fn take_remote(
     remote: &RemoteOut,
     options: &ScoreOptions,
     entries: &[Entry],
     workplace: &Workplace,
-) -> Result<Parts, RunError> {
+) -> Result<(), RunError> {
     let store = remote.store();
-    let digest = &options.reduce.profile_digest;
-    let name = options
-        .fleet
-        .as_ref()
-        .and_then(|fleet| fleet.name.as_deref());
-    let run = fleet::run_name(name, entries, digest)?;
+    let run = options.run_name(entries)?;
     remote.withdraw().await?;
     parts::put_corpus(&**store, &run, entries).await?;
-    parts::restore(&**store, &workplace.journal_path(), options.resume).await?;
-    Ok(Parts::new(Arc::clone(store), &run))
+    parts::restore(&**store, &workplace.journal_path(), options.resume).await
 }
 
-/// Has every readable entry measured that the journal does not answer: here, or by the fleet.
+/// Has entries measured: here, or by the fleet.
 async fn ask(
     options: &ScoreOptions,
     entries: &Arc<Vec<Entry>>,
-    journal: &Journal,
+    missing: Vec<usize>,
     run: Option<&RunId>,
 ) -> Result<Box<dyn Answers>, RunError> {
-    let missing = measuring::missing(entries, journal);
     let (Some(fleet), Some(run)) = (&options.fleet, run) else {
         let jobs = missing.iter().filter_map(|&index| entries.get(index));
         let jobs = jobs.filter_map(|entry| job(entry, &options.profile).transpose());
@@ -319,61 +429,42 @@ impl Workplace {
     }
 }
 
+/// What is published.
+pub(crate) struct Published {
+    pub(crate) reduced: Reduced,
+    pub(crate) cascade: Option<CascadeRecord>,
+    pub(crate) files: Vec<String>,
+}
+
 /// Reduces what is measured, draws heat maps where asked, and publishes.
 pub(crate) async fn finish(
     options: &ScoreOptions,
     entries: Arc<Vec<Entry>>,
-    journal: Journal,
+    measured: Journals,
     out: OutDir,
-) -> Result<(Reduced, Vec<String>), RunError> {
+) -> Result<Published, RunError> {
     let reduce_options = options.reduce.clone();
     let reducing = tokio::task::spawn_blocking(move || -> Result<_, RunError> {
-        let (videos, costs) = collected(&entries, &journal)?;
-        let reduced = reduce::reduce(videos, &reduce_options);
-        Ok((entries, journal, costs, reduced))
+        let (reduced, costs) = measured.reduce(&entries, &reduce_options)?;
+        Ok((entries, measured, costs, reduced))
     });
-    let (entries, journal, costs, reduced) = reducing.await.map_err(RunError::Finishing)??;
+    let (entries, measured, costs, reduced) = reducing.await.map_err(RunError::Finishing)??;
     let profile = &options.profile;
     let (most, slots) = (options.heat_maps, &options.slots);
     let heat_maps = heat_maps::draw(most, &reduced.rows, &entries, profile, slots, &out).await?;
     let options = options.clone();
     let publishing = tokio::task::spawn_blocking(move || -> Result<_, RunError> {
-        let measured = Measurements {
-            entries: &entries,
-            journal: &journal,
-            costs: &costs,
-        };
-        let mut files = publish_run(&options, &out, &measured, &reduced, &heat_maps)?;
+        let mut files = publish_run(
+            &options, &out, &entries, &measured, &costs, &reduced, &heat_maps,
+        )?;
         files.extend(heat_maps.into_values());
-        Ok((reduced, files))
+        Ok(Published {
+            cascade: measured.record().cloned(),
+            reduced,
+            files,
+        })
     });
     publishing.await.map_err(RunError::Finishing)?
-}
-
-/// Every entry with its measurement, in the corpus' order, so that nothing is lost; and what each
-/// measurement cost.
-fn collected(
-    entries: &[Entry],
-    journal: &Journal,
-) -> Result<(Vec<MeasuredVideo>, Vec<CostRow>), JournalError> {
-    let mut videos = Vec::with_capacity(entries.len());
-    let mut costs = Vec::with_capacity(entries.len());
-    for entry in entries {
-        let measurement = match journal.read(&entry.video)? {
-            Some(record) => {
-                costs.push(CostRow {
-                    video: entry.video.clone(),
-                    cost: record.outcome.cost,
-                    attempts: record.attempts,
-                    worker: record.worker,
-                });
-                record.outcome.measurement
-            }
-            None => unreadable(entry),
-        };
-        videos.push(measured_video(entry, measurement));
-    }
-    Ok((videos, costs))
 }
 
 /// An entry with its measurement.
@@ -398,25 +489,15 @@ pub(crate) fn unreadable(entry: &Entry) -> Measurement {
     )
 }
 
-/// What was measured, and at what cost.
-struct Measurements<'a> {
-    entries: &'a [Entry],
-    journal: &'a Journal,
-    costs: &'a [CostRow],
-}
-
 fn publish_run(
     options: &ScoreOptions,
     out: &OutDir,
-    measured: &Measurements<'_>,
+    entries: &[Entry],
+    measured: &Journals,
+    costs: &[CostRow],
     reduced: &Reduced,
     heat_maps: &HeatMaps,
 ) -> Result<Vec<String>, RunError> {
-    let Measurements {
-        entries,
-        journal,
-        costs,
-    } = *measured;
     let parameters = serde_json::to_value(&options.profile).map_err(RunError::Profile)?;
     let corpus = CorpusFile {
         plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -428,10 +509,11 @@ fn publish_run(
         }),
         conditioning_frames: Some(options.profile.conditioning_frames),
         fault_calibration: options.fault_calibration.clone(),
+        cascade: measured.record().cloned(),
         statistics: reduced.statistics.clone(),
     };
     let locations: Vec<String> = entries.iter().map(Entry::address).collect();
-    let thumbnails = |video: &VideoId| journal.read(video).ok()??.outcome.thumbnails;
+    let thumbnails = |video: &VideoId| measured.thumbnails(video);
     let state = ReportState {
         options: options.told(),
         reference: options

@@ -102,7 +102,8 @@ impl SampleDir {
     /// # Errors
     /// [`WriteSampleError`].
     pub fn write_clip(&self, clip: &ClipSpec, truth: Truth) -> Result<(), WriteSampleError> {
-        self.write_video(clip)?;
+        let video = self.videos().join(format!("{}.mp4", clip.name));
+        write_video(clip, &video)?;
         let path = self.truth().join(format!("{}.npz", clip.name));
         let frames = (0..clip.frames)
             .map(|frame| clip.truth(frame))
@@ -110,26 +111,6 @@ impl SampleDir {
         let frames = frames.map_err(|source| render_error(clip, source))?;
         write_truth(&path, clip, &frames, truth)
             .map_err(|source| WriteSampleError::Io { path, source })
-    }
-
-    fn write_video(&self, clip: &ClipSpec) -> Result<(), WriteSampleError> {
-        let encode_error = |source| WriteSampleError::Encode {
-            clip: clip.name.clone(),
-            source,
-        };
-        let path = self.videos().join(format!("{}.mp4", clip.name));
-        let (width, height) = (clip.width as u32, clip.height as u32);
-        let mut writer = Mp4Writer::create(&path, width, height, clip.fps).map_err(encode_error)?;
-        for frame in clip.render_frames() {
-            let frame = frame.map_err(|source| render_error(clip, source))?;
-            let picture = Rgb8 {
-                width: frame.width,
-                height: frame.height,
-                data: frame.rgb,
-            };
-            writer.push(&picture).map_err(encode_error)?;
-        }
-        writer.finish().map_err(encode_error)
     }
 
     /// Writes what is wrong with which clip: a list that `plumbline score` and `evaluate` read too.
@@ -179,6 +160,29 @@ impl SampleDir {
             source: io::Error::other(error),
         })
     }
+}
+
+/// Renders a clip into an mp4 file, whole or not at all.
+///
+/// # Errors
+/// [`WriteSampleError`].
+pub(crate) fn write_video(clip: &ClipSpec, path: &Path) -> Result<(), WriteSampleError> {
+    let encode_error = |source| WriteSampleError::Encode {
+        clip: clip.name.clone(),
+        source,
+    };
+    let (width, height) = (clip.width as u32, clip.height as u32);
+    let mut writer = Mp4Writer::create(path, width, height, clip.fps).map_err(encode_error)?;
+    for frame in clip.render_frames() {
+        let frame = frame.map_err(|source| render_error(clip, source))?;
+        let picture = Rgb8 {
+            width: frame.width,
+            height: frame.height,
+            data: frame.rgb,
+        };
+        writer.push(&picture).map_err(encode_error)?;
+    }
+    writer.finish().map_err(encode_error)
 }
 
 fn render_error(clip: &ClipSpec, source: SampleError) -> WriteSampleError {

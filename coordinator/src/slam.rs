@@ -13,7 +13,7 @@ use plumbline_worker::profile::Profile;
 use plumbline_worker::slam::{DepthVerdict, SlamOutcome, Tracked};
 use serde_json::{Value, json};
 
-use crate::explain::{Claimed, RunError, claim};
+use crate::explain::{Claimed, OneVideo, RunError, claim};
 use crate::fanout::Slots;
 use crate::npz::Npz;
 use crate::publish::OutDir;
@@ -30,8 +30,8 @@ const EDGES_FILE: &str = "edges.csv";
 /// A usable `plumbline slam`.
 #[derive(Debug, Clone)]
 pub struct SlamOptions {
-    /// The video, as typed.
-    pub video: String,
+    /// Which video.
+    pub video: OneVideo,
     /// Where results go.
     pub out: PathBuf,
     /// How it is tracked.

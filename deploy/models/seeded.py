@@ -1,7 +1,7 @@
-"""Writes a checkpoint of random weights, full width: to measure and to test with, where no official
-checkpoint is at hand. Its flows and trajectories mean nothing.
+"""Writes a checkpoint of random weights, to measure and to test with, where no official
+checkpoint is at hand: full width, but for `sea-raft-small`, which is for tests. Its flows and trajectories mean nothing.
 
-    seeded.py sea-raft-s | sea-raft-m | droid OUT.safetensors
+    seeded.py sea-raft-small | sea-raft-s | sea-raft-m | droid OUT.safetensors
 """
 
 import argparse
@@ -14,7 +14,10 @@ import droid
 import sea_raft
 from graph import Weights
 
-NAMES = ("sea-raft-s", "sea-raft-m", "droid")
+# The topology of S, in a quarter of its widths.
+TINY = sea_raft.Configuration(16, (16, 24, 32), (2, 2, 2), 32, 4, 2)
+SEA_RAFT = {"sea-raft-small": TINY, "sea-raft-s": sea_raft.SMALL, "sea-raft-m": sea_raft.MEDIUM}
+NAMES = (*SEA_RAFT, "droid")
 
 
 def _draw(rng, key, shape):
@@ -37,7 +40,7 @@ def tensors(name, seed=0):
     if name == "droid":
         droid.graphs(asked)
     else:
-        sea_raft.graphs(sea_raft.SIZES[name[-1].upper()][0], asked)
+        sea_raft.graphs(SEA_RAFT[name], asked)
     rng = np.random.default_rng(seed)
     drawn = {key: _draw(rng, key, shape) for key, shape in asked.asked.items()}
     for key in list(drawn):

@@ -413,3 +413,34 @@ pub fn sample_corpus(seed: u64) -> Vec<ClipSpec> {
     clean.append(&mut faulty);
     clean
 }
+
+/// Size and length of the clips of [`camera_corpus`]: what costs are compared on.
+const CAMERA_SIDE_PX: usize = 256;
+const CAMERA_FRAMES: usize = 60;
+/// Clips of each camera.
+const CAMERA_CLIPS: u32 = 3;
+
+/// Clips of one size and length that differ in what the camera does: it stands, turns, or travels. Three of each, named
+/// `static__<nn>`, `rotation__<nn>` and `parallax__<nn>`; those of one number share room, objects and task.
+#[must_use]
+pub fn camera_corpus(seed: u64) -> Vec<ClipSpec> {
+    let mut rng = Pcg32::seed_from_u64(seed);
+    let seeds: Vec<u64> = (0..CAMERA_CLIPS).map(|_| rng.next_u64()).collect();
+    let mut clips = Vec::new();
+    for (name, family) in [
+        ("static", Family::Pick),
+        ("rotation", Family::Pan),
+        ("parallax", Family::Flyby),
+    ] {
+        for (pair, &seed) in (0..).zip(&seeds) {
+            clips.push(ClipSpec {
+                name: format!("{name}__{pair:02}"),
+                width: CAMERA_SIDE_PX,
+                height: CAMERA_SIDE_PX,
+                frames: CAMERA_FRAMES,
+                ..ClipSpec::clean(family, pair, seed)
+            });
+        }
+    }
+    clips
+}

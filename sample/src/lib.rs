@@ -20,7 +20,7 @@ mod task;
 pub mod texture;
 pub mod truth;
 
-pub use corpus::{ClipSpec, FaultSpec, sample_corpus};
+pub use corpus::{ClipSpec, FaultSpec, camera_corpus, sample_corpus};
 pub use fault::{FAULT_KINDS, FaultKind, FaultTruth};
 pub use geometry::Pose;
 pub use render::{Antialias, Camera, RgbFrame};

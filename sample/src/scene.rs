@@ -25,8 +25,11 @@ pub enum Family {
     Reach,
     /// As `Pick`, seen by a camera that turns about its own centre.
     Pan,
-    /// As `Pick`, seen by a camera that travels sideways: parallax.
+    /// As `Pick`, seen by a camera that travels sideways: some parallax, over a scene that is nearly a plane.
     Dolly,
+    /// As `Pick`, seen by a low camera that travels sideways close to the table: strong parallax, which no
+    /// homography explains.
+    Flyby,
 }
 
 impl Family {
@@ -39,6 +42,7 @@ impl Family {
             Self::Reach => "reach",
             Self::Pan => "pan",
             Self::Dolly => "dolly",
+            Self::Flyby => "flyby",
         }
     }
 }
@@ -89,6 +93,10 @@ pub(crate) const LOOK_AT_M: Vec3 = vec3(0.0, 0.1, 0.1);
 const PAN_AMPLITUDE_RAD: f64 = 0.11;
 /// Path of the travelling camera: about 2 px per frame at the same size.
 const DOLLY_LENGTH_M: f64 = 0.5;
+/// Where the low camera's path has its middle: the nearest object is 0.4 m away, the far wall 2.2 m.
+const FLYBY_EYE_M: Vec3 = vec3(0.0, -0.7, 0.24);
+/// Length of its path: some 7 px per frame for the nearest object and 1.3 px for the wall, at 256 px and 60 frames.
+const FLYBY_LENGTH_M: f64 = 0.72;
 impl Scene {
     /// Centre of the bystander, metres: the place of local faults.
     #[must_use]
@@ -165,6 +173,12 @@ impl Scene {
             Family::Dolly => {
                 let aside = vec3(self.side * DOLLY_LENGTH_M * (progress - 0.5), 0.0, 0.0);
                 look(self.eye_m + aside, LOOK_AT_M)
+            }
+            // Always ahead: what is near passes by faster than what is far.
+            Family::Flyby => {
+                let aside = vec3(self.side * FLYBY_LENGTH_M * (progress - 0.5), 0.0, 0.0);
+                let eye = FLYBY_EYE_M + aside;
+                look(eye, eye + vec3(0.0, 1.0, -0.12))
             }
         }
     }

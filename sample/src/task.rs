@@ -83,7 +83,7 @@ impl Task {
         let home_yaw = draw.uniform(-0.15, 0.15);
         let home_radius = draw.uniform(0.26, 0.32);
         let (start, then, held) = match family {
-            Family::Pick | Family::Pan | Family::Dolly => (
+            Family::Pick | Family::Pan | Family::Dolly | Family::Flyby => (
                 hand(home_yaw, home_radius, 0.22, OPEN_M),
                 vec![
                     (0.26, hand(yaw, radius, LIFT_M, OPEN_M)),

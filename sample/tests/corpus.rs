@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use plumbline_sample::corpus::{FIRST_FAULT_FRAME, FaultSpec};
 use plumbline_sample::{
-    Antialias, ClipSpec, FAULT_KINDS, Family, FaultKind, Pose, RgbFrame, SampleError, sample_corpus,
+    Antialias, ClipSpec, FAULT_KINDS, Family, FaultKind, Pose, RgbFrame, SampleError,
+    camera_corpus, sample_corpus,
 };
 
 fn small(clip: &ClipSpec) -> ClipSpec {
@@ -230,10 +231,11 @@ fn cameras_move_as_declared() {
                 .sum::<f64>()
         })
     };
-    for clip in sample_corpus(3).iter().take(12).map(small) {
+    let clips = sample_corpus(3);
+    for clip in clips[..12].iter().chain(&camera_corpus(3)).map(small) {
         let (first, last) = (
             clip.truth(0).unwrap().camera_from_world,
-            clip.truth(31).unwrap().camera_from_world,
+            clip.truth(clip.frames - 1).unwrap().camera_from_world,
         );
         let moved_m = centre(&first)
             .iter()
@@ -243,7 +245,7 @@ fn cameras_move_as_declared() {
         match clip.family {
             Family::Pick | Family::Push | Family::Reach => assert_eq!(first, last),
             Family::Pan => assert!(moved_m < 1e-12 && first.rotation != last.rotation),
-            Family::Dolly => assert!(moved_m > 0.3),
+            Family::Dolly | Family::Flyby => assert!(moved_m > 0.3),
         }
         let [x, y, z, w] = last.quaternion_xyzw();
         assert!((x * x + y * y + z * z + w * w - 1.0).abs() < 1e-12);

@@ -6,12 +6,13 @@ use plumbline_sample::geometry::{Vec3, vec3};
 use plumbline_sample::scene::Scene;
 use plumbline_sample::{Camera, Family, Pose};
 
-const FAMILIES: [Family; 5] = [
+const FAMILIES: [Family; 6] = [
     Family::Pick,
     Family::Push,
     Family::Reach,
     Family::Pan,
     Family::Dolly,
+    Family::Flyby,
 ];
 /// Id of the table; ids up to 4 are bodies that never move.
 const TABLE: u16 = 1;

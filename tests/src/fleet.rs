@@ -73,14 +73,13 @@ impl Daemon {
         }
     }
 
-    /// The end of its log, for a failure's message.
-    pub fn last_words(&self) -> String {
-        const LINES: usize = 30;
+    /// The last lines of its log, for a failure's message.
+    pub fn last_words(&self, lines: usize) -> String {
         let log = std::fs::read(&self.log).unwrap_or_default();
         let text = String::from_utf8_lossy(&log);
-        let lines: Vec<&str> = text.lines().collect();
-        let from = lines.len().saturating_sub(LINES);
-        format!("{}:\n{}", self.log.display(), lines[from..].join("\n"))
+        let all: Vec<&str> = text.lines().collect();
+        let from = all.len().saturating_sub(lines);
+        format!("{}:\n{}", self.log.display(), all[from..].join("\n"))
     }
 }
 

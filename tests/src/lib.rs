@@ -1,7 +1,8 @@
 //! Plumbline: end-to-end tests over the built commands.
 //!
-//! The library is what the suites share: the built binary ([`binary`]), small clips ([`clips`]), runs
-//! with a deadline ([`run`]), a browser ([`browser`]), what a run published ([`published`]), other processes ([`process`]), and for
+//! The library is what the suites share: the built binary ([`binary`]), small clips ([`clips`]), datasets of
+//! them ([`datasets`]), runs with a deadline ([`run`]), a browser ([`browser`]), what a run published
+//! ([`published`]), other processes ([`process`]), and for
 //! fleets real servers ([`servers`]) and what goes wrong on the way to them ([`proxy`], [`s3_faults`]). The
 //! suites are test binaries: `cli` runs the `plumbline` command, `campaign` a fleet under faults, `browser` looks at reports. Everything
 //! here fails by panicking.
@@ -16,6 +17,7 @@
 pub mod binary;
 pub mod browser;
 pub mod clips;
+pub mod datasets;
 pub mod fleet;
 pub mod process;
 pub mod proxy;

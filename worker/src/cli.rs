@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use plumbline_common::observe::{self, Pulse};
 use plumbline_common::queue::AmqpBroker;
 use plumbline_common::telemetry::{self, LogFormat};
@@ -19,6 +19,7 @@ use tokio::sync::watch;
 use crate::child;
 use crate::fetch::Fetcher;
 use crate::fleet::{self, Compute, FETCH_RETRIES, Metrics, Stop, WorkerOptions, serve};
+use crate::packaging::Packaging;
 use crate::settings::Settings;
 
 /// Drained.
@@ -33,12 +34,22 @@ const INTERRUPTED: u8 = 130;
 /// RabbitMQ's own consumer timeout: how long it waits for a job to be settled before it takes the job back.
 const BROKER_DEFAULT_TIMEOUT: Duration = Duration::from_secs(1800);
 
+/// Shown below the help; the tests parse every line.
+const EXAMPLES: &str = "Examples:
+  plumbline-worker
+  plumbline-worker --slots 4 --memory 2048 --grace 300 --listen 127.0.0.1:9090 --log-format json
+  plumbline-worker --files /data/videos --scratch /fast/disk
+
+The broker's address comes from PLUMBLINE_QUEUE__URL, the store's from AWS_ENDPOINT_URL, AWS_REGION and the
+credentials that AWS's own tools find. The first SIGTERM drains, the second ends at once.";
+
 /// Measures the videos of a fleet's runs: takes jobs from a queue, one per slot, and answers each with a row
 #[derive(Debug, Parser)]
 #[command(
     name = "plumbline-worker",
     version,
-    args_conflicts_with_subcommands = true
+    args_conflicts_with_subcommands = true,
+    after_help = EXAMPLES
 )]
 struct Cli {
     #[command(subcommand)]
@@ -61,6 +72,14 @@ enum Internal {
         #[arg(long)]
         memory_mib: u64,
     },
+    #[command(flatten)]
+    Packaging(Packaging),
+}
+
+/// The definition of the command line, for whoever documents or checks it.
+#[must_use]
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 #[derive(Debug, Args)]
@@ -92,6 +111,12 @@ struct WorkerArgs {
     /// Memory of one compute process, MiB
     #[arg(long, value_name = "MIB")]
     memory: Option<u64>,
+    /// Converted model sets of learned networks: a directory or s3://BUCKET/PREFIX [default: models.place]
+    #[arg(long, value_name = "PLACE")]
+    models: Option<String>,
+    /// ONNX Runtime's shared library, which runs them [default: models.runtime]
+    #[arg(long, value_name = "FILE")]
+    onnxruntime: Option<PathBuf>,
     /// Answers every job with a fixed row, to try queues out
     #[arg(long, hide = true)]
     no_op: bool,
@@ -117,6 +142,7 @@ pub fn main() -> ExitCode {
             telemetry::init("error", LogFormat::Text);
             child::run(memory_mib).map(|()| OK)
         }
+        Some(Internal::Packaging(packaging)) => packaging.run(command()).map(|()| OK),
         None => {
             telemetry::init(&cli.log, cli.log_format);
             match cli.worker.usable() {
@@ -141,7 +167,10 @@ impl WorkerArgs {
         let mut settings = Settings::load()?;
         if let Some(deadline_s) = self.deadline {
             settings.compute.deadline_s = deadline_s;
+            settings.compute.learned_deadline_s = deadline_s;
         }
+        settings.models.place = self.models.or(settings.models.place);
+        settings.models.runtime = self.onnxruntime.or(settings.models.runtime);
         if let Some(memory_mib) = self.memory {
             settings.compute.memory_mib = memory_mib;
         }
@@ -174,7 +203,8 @@ impl WorkerArgs {
                 grace: Duration::from_secs(self.grace),
                 files: self.files.map(canonical).transpose()?,
                 compute,
-                fetcher: Fetcher::new(settings.store.s3_options(), scratch),
+                fetcher: Fetcher::new(settings.store.s3_options(), scratch)
+                    .with_models(settings.models.clone()),
                 fetch_retries: FETCH_RETRIES,
             },
             listen: self.listen,
@@ -214,6 +244,7 @@ async fn run_until_stopped(usable: Usable) -> anyhow::Result<u8> {
         tokio::spawn(observe::serve(listener, registry, pulse));
     }
     warn_of_the_consumer_timeout(&options);
+    tell_of_the_sandbox(&options);
     let mut told = stop.clone();
     let broker = tokio::select! {
         broker = AmqpBroker::connect(&url, settings.queue.amqp_options()) => broker?,
@@ -240,6 +271,28 @@ fn warn_of_the_consumer_timeout(options: &WorkerOptions) {
     }
 }
 
+/// What compute processes cannot do on this machine, and what they could.
+fn tell_of_the_sandbox(options: &WorkerOptions) {
+    let Compute::Children { limits, .. } = &options.compute else {
+        return;
+    };
+    let memory_mib = limits.memory_mib;
+    tracing::info!(
+        memory_mib,
+        "compute processes have a limit on memory, and write no file"
+    );
+    for protection in child::probe() {
+        match protection.missing {
+            None => tracing::info!("compute processes are refused: {}", protection.what),
+            Some(reason) => tracing::warn!(
+                reason,
+                "compute processes are not, or not wholly, refused: {}; a newer kernel does it",
+                protection.what
+            ),
+        }
+    }
+}
+
 fn own_name() -> String {
     let host = rustix::system::uname();
     format!(
@@ -247,4 +300,21 @@ fn own_name() -> String {
         host.nodename().to_string_lossy(),
         std::process::id()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_examples_are_commands() {
+        let lines = EXAMPLES.lines().map(str::trim);
+        let commands = lines.filter(|line| line.starts_with("plumbline-worker"));
+        assert_eq!(
+            commands
+                .map(|line| Cli::try_parse_from(line.split(' ')).unwrap())
+                .count(),
+            3
+        );
+    }
 }

@@ -9,6 +9,7 @@ pub mod fetch;
 pub mod fleet;
 pub mod learned;
 pub mod measure;
+pub mod packaging;
 pub mod profile;
 pub mod settings;
 pub mod slam;

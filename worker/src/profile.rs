@@ -3,11 +3,13 @@
 use plumbline_vision::consistency::ConsistencyParams;
 use plumbline_vision::faults::{FaultParams, FaultThresholds};
 use plumbline_vision::flow::dis::DisParams;
+use plumbline_vision::learned::droid_operator::DroidOperatorParams;
 use plumbline_vision::scene::{GridParams, LayerParams, TwoViewParams};
 use plumbline_vision::signals::SignalParams;
 use plumbline_vision::signals::arc::{ArcParams, ArcSelectorParams};
 use plumbline_vision::signals::contact::ContactParams;
 use plumbline_vision::slam::intrinsics::Intrinsics;
+use plumbline_vision::slam::reference::ReferenceParams;
 use plumbline_vision::slam::tracker::TrackParams;
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +17,7 @@ use crate::decode::DecodeLimits;
 
 /// Raised whenever the same parameters begin to give other numbers, so that old results are not
 /// taken for new ones.
-pub const MEASURE_VERSION: u32 = 4;
+pub const MEASURE_VERSION: u32 = 5;
 
 /// A rung of the speed/accuracy ladder (design, section 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,11 +29,13 @@ pub enum Rung {
     Standard,
     /// Decisions.
     Accurate,
+    /// Comparison with published WorldScore numbers, by the learned networks that those were made with.
+    Reference,
 }
 
 impl Rung {
     /// From the cheapest to the dearest.
-    pub const ALL: [Self; 3] = [Self::Draft, Self::Standard, Self::Accurate];
+    pub const ALL: [Self; 4] = [Self::Draft, Self::Standard, Self::Accurate, Self::Reference];
 
     /// The name used on the command line and in every output.
     #[must_use]
@@ -40,6 +44,76 @@ impl Rung {
             Self::Draft => "draft",
             Self::Standard => "standard",
             Self::Accurate => "accurate",
+            Self::Reference => "reference",
+        }
+    }
+}
+
+/// What SEA-RAFT's flow is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SeaRaftRole {
+    /// Photometric consistency as WorldScore measures it, on the frames as decoded.
+    Photometric,
+    /// It takes the place of the classical flow, at the working size.
+    Flow,
+}
+
+/// Flow by SEA-RAFT.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeaRaftUse {
+    /// Digest of the model set; that of the only SEA-RAFT among the configured sets where it is not given.
+    pub model: Option<String>,
+    /// What for.
+    pub role: SeaRaftRole,
+    /// Whether frames are halved first, as WorldScore does.
+    pub half_resolution: bool,
+    /// Iterations; those of the weights' size where not given.
+    pub iterations: Option<u32>,
+    /// Iterations end early when the mean change of the flow, px of the network's picture, is below this.
+    pub stop_below_px: Option<f64>,
+}
+
+impl SeaRaftUse {
+    /// As WorldScore uses it, for `role`.
+    #[must_use]
+    pub fn new(role: SeaRaftRole) -> Self {
+        Self {
+            model: None,
+            role,
+            half_resolution: true,
+            iterations: None,
+            stop_below_px: None,
+        }
+    }
+}
+
+/// Reprojection error by DROID-SLAM.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DroidUse {
+    /// Digest of the model set; that of the only DROID-SLAM among the configured sets where it is not given.
+    pub model: Option<String>,
+    /// Frames are scaled to this area, px.
+    pub area_px: u32,
+    /// Longer clips are refused before the first frame: memory grows with the frames, and so do hours.
+    pub most_frames: u32,
+    /// The networks.
+    pub operator: DroidOperatorParams,
+    /// The tracker.
+    pub tracker: ReferenceParams,
+}
+
+impl Default for DroidUse {
+    /// WorldScore's constants. Its 512 keyframes would not fit into 4 GiB, hence fewer frames.
+    fn default() -> Self {
+        Self {
+            model: None,
+            area_px: 512 * 512,
+            most_frames: 100,
+            operator: DroidOperatorParams::default(),
+            tracker: ReferenceParams::default(),
         }
     }
 }
@@ -72,6 +146,11 @@ pub struct Profile {
     pub contact: ContactParams,
     /// Frame distances of the edges that geometry looks at, ascending; 1 is always measured.
     pub edge_spans: Vec<u32>,
+    /// Follow the flow between frames further apart from frame to frame, unless depth is estimated, and search for
+    /// the one across a frame only where that frame may be bad enough to be reported. Off in every rung: on some clips it raises `reproj_px`
+    /// by three tenths (`tests/benches/results/effort-2026-11-26.md`), everything but the residuals staying
+    /// the same to the bit.
+    pub follow_flow: bool,
     /// Grid of the geometric measure.
     pub grid: GridParams,
     /// Motion models and their selection.
@@ -96,6 +175,12 @@ pub struct Profile {
     pub limits: DecodeLimits,
     /// When a clip is not judged.
     pub verdict: VerdictParams,
+    /// SEA-RAFT, where it is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sea_raft: Option<SeaRaftUse>,
+    /// DROID-SLAM, where it is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub droid: Option<DroidUse>,
 }
 
 /// When a clip gets a typed verdict instead of a score.
@@ -144,16 +229,20 @@ impl Profile {
         // calibrated on recorded clips, reports faults.
         let (working_height_px, finest_scale, edge_spans, fault_thresholds) = match rung {
             Rung::Draft => (128, 2, vec![1], FaultThresholds::UNCALIBRATED),
-            Rung::Standard => (256, 1, vec![1, 2], FaultThresholds::STANDARD_RECORDED),
+            // What stands beside the learned measures is `standard`'s.
+            Rung::Standard | Rung::Reference => {
+                (256, 1, vec![1, 2], FaultThresholds::STANDARD_RECORDED)
+            }
             Rung::Accurate => (512, 0, vec![1, 2, 3], FaultThresholds::UNCALIBRATED),
         };
         // Keyframes that each is joined to, and where the refinement ends: `accurate` goes on to
         // convergence.
         let (span, tolerance) = match rung {
             Rung::Draft => (2, 1e-2),
-            Rung::Standard => (3, 3e-3),
+            Rung::Standard | Rung::Reference => (3, 3e-3),
             Rung::Accurate => (3, 1e-5),
         };
+        let is_reference = rung == Rung::Reference;
         Self {
             measure_version: MEASURE_VERSION,
             rung,
@@ -167,6 +256,7 @@ impl Profile {
             fault_thresholds,
             contact: ContactParams::default(),
             edge_spans,
+            follow_flow: false,
             // The grid of dense bundle adjustment at 256 px; the same points at every rung.
             grid: GridParams {
                 step: working_height_px as usize / 32,
@@ -180,19 +270,49 @@ impl Profile {
             },
             force_adjustment: false,
             intrinsics: None,
-            conditioning_frames: 1,
+            // WorldScore counts every frame.
+            conditioning_frames: u32::from(!is_reference),
             warmup_frames: 7,
             sequence_fps: 10.0,
             limits: DecodeLimits::default(),
             verdict: VerdictParams::default(),
+            sea_raft: is_reference.then(|| SeaRaftUse::new(SeaRaftRole::Photometric)),
+            droid: is_reference.then(DroidUse::default),
         }
     }
 
-    /// The rung's name; that of a rung with changed knobs says so. The camera, limits, thresholds and which
-    /// frames and times count are no such change.
+    /// Whether it needs learned networks.
+    #[must_use]
+    pub fn is_learned(&self) -> bool {
+        self.sea_raft.is_some() || self.droid.is_some()
+    }
+
+    /// The digests of the model sets that it names, SEA-RAFT's first.
+    #[must_use]
+    pub fn models(&self) -> [Option<&str>; 2] {
+        let sea_raft = self
+            .sea_raft
+            .as_ref()
+            .and_then(|used| used.model.as_deref());
+        let droid = self.droid.as_ref().and_then(|used| used.model.as_deref());
+        [sea_raft, droid]
+    }
+
+    /// The rung's name; that of a rung with changed knobs says so. The camera, limits, thresholds, which
+    /// frames and times count, and which weights the networks have are no such change.
     #[must_use]
     pub fn name(&self) -> String {
+        let rung = Self::new(self.rung);
+        let [sea_raft, droid] = self.models().map(|model| model.map(str::to_owned));
         let unchanged = Self {
+            sea_raft: rung.sea_raft.map(|used| SeaRaftUse {
+                model: sea_raft,
+                ..used
+            }),
+            droid: rung.droid.map(|used| DroidUse {
+                model: droid,
+                ..used
+            }),
             fault_thresholds: self.fault_thresholds,
             force_adjustment: self.force_adjustment,
             intrinsics: self.intrinsics,
@@ -208,6 +328,13 @@ impl Profile {
         }
     }
 
+    /// Columns and rows that a picture of this size is measured at; the picture has rows.
+    #[must_use]
+    pub fn working_size(&self, width: usize, height: usize) -> (usize, usize) {
+        let rows = self.working_height_px as usize;
+        (((width * rows + height / 2) / height).max(1), rows)
+    }
+
     /// The form that is hashed and that travels: JSON with fields in declaration order.
     ///
     /// # Errors
@@ -217,7 +344,8 @@ impl Profile {
     }
 
     /// Digest of what fault scores depend on: everything but thresholds, limits, verdicts, the dense
-    /// adjustment, and which frames and times count.
+    /// adjustment, learned measures that stand beside, and which frames and times count. `reference` has the
+    /// faults of `standard`.
     ///
     /// # Errors
     /// As [`Self::canonical`].
@@ -232,6 +360,15 @@ impl Profile {
             tracking: TrackParams::default(),
             force_adjustment: false,
             intrinsics: None,
+            rung: match self.rung {
+                Rung::Reference => Rung::Standard,
+                rung => rung,
+            },
+            sea_raft: self
+                .sea_raft
+                .clone()
+                .filter(|used| used.role == SeaRaftRole::Flow),
+            droid: None,
             ..self.clone()
         }
         .digest()

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::child::ComputeLimits;
 use crate::decode::DecodeLimits;
+use crate::learned::ModelSettings;
 
 /// The settings file looked for in the working directory.
 const FILE: &str = "plumbline.toml";
@@ -28,6 +29,8 @@ pub struct Settings {
     pub store: StoreSettings,
     /// The broker.
     pub queue: QueueSettings,
+    /// Learned networks.
+    pub models: ModelSettings,
 }
 
 /// An S3-compatible service; what is not said here comes from the vendor's environment
@@ -129,14 +132,21 @@ impl Settings {
         const MIN_MEMORY_MIB: u64 = 320;
         let ComputeLimits {
             deadline_s,
+            learned_deadline_s,
             memory_mib,
         } = self.compute;
-        if !(deadline_s.is_finite() && deadline_s > 0.0) {
-            return Err(SettingsError::Value {
-                name: "compute.deadline_s",
-                wanted: "above 0",
-                found: deadline_s,
-            });
+        for (name, found) in [
+            ("compute.deadline_s", deadline_s),
+            ("compute.learned_deadline_s", learned_deadline_s),
+        ] {
+            if !(found.is_finite() && found > 0.0) {
+                let wanted = "above 0";
+                return Err(SettingsError::Value {
+                    name,
+                    wanted,
+                    found,
+                });
+            }
         }
         if memory_mib < MIN_MEMORY_MIB {
             return Err(SettingsError::Value {

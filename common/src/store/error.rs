@@ -15,7 +15,9 @@ pub enum StoreError {
         object: String,
     },
     /// The credentials do not allow it: nothing will go better by waiting.
-    #[error("{object}: access denied ({source}); check the credentials and what they may do there")]
+    #[error(
+        "{object}: access denied ({source}); check the credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_PROFILE, or the machine's role) and what they may do there"
+    )]
     Denied {
         /// The object.
         object: String,
@@ -42,7 +44,7 @@ pub enum StoreError {
     },
     /// Still failing after every retry; later it may work.
     #[error(
-        "{object}: no answer after {attempts} attempts ({source}); check that the store runs and its address, then run again"
+        "{object}: no answer after {attempts} attempts ({source}); check that the store runs and its address (AWS_ENDPOINT_URL), then run again"
     )]
     Transient {
         /// The object.

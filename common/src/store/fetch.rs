@@ -1,5 +1,6 @@
-//! Whole objects, range by range: a broken connection costs one range, and memory is bounded.
+//! Objects, or long parts of them, range by range: a broken connection costs one range, and memory is bounded.
 
+use std::ops::Range;
 use std::path::Path;
 
 use bytes::Bytes;
@@ -21,9 +22,9 @@ pub async fn fetch(
     meta: &ObjectMeta,
     max_bytes: u64,
 ) -> Result<Vec<u8>, StoreError> {
-    check_size(store, meta, max_bytes)?;
+    check_size(store, meta, meta.bytes, max_bytes)?;
     let whole = Vec::with_capacity(usize::try_from(meta.bytes).unwrap_or(0));
-    ranges(store, meta)
+    ranges(store, meta, 0..meta.bytes)
         .try_fold(whole, async |mut whole, range| {
             whole.extend_from_slice(&range);
             Ok(whole)
@@ -31,7 +32,7 @@ pub async fn fetch(
         .await
 }
 
-/// Reads an object into a new file, a range in memory at a time. On failure the file is incomplete and
+/// Reads an object into a new file, some bytes in memory at a time. On failure the file is incomplete and
 /// the caller's to remove.
 ///
 /// # Errors
@@ -42,7 +43,21 @@ pub async fn fetch_to_file(
     max_bytes: u64,
     file: &Path,
 ) -> Result<(), StoreError> {
-    check_size(store, meta, max_bytes)?;
+    fetch_range_to_file(store, meta, 0..meta.bytes, max_bytes, file).await
+}
+
+/// The same of some bytes of an object; `range` lies within it.
+///
+/// # Errors
+/// As [`fetch_to_file`].
+pub async fn fetch_range_to_file(
+    store: &dyn ObjectStore,
+    meta: &ObjectMeta,
+    range: Range<u64>,
+    max_bytes: u64,
+    file: &Path,
+) -> Result<(), StoreError> {
+    check_size(store, meta, range.end - range.start, max_bytes)?;
     let not_written = |source: std::io::Error| StoreError::LocalFile {
         file: file.display().to_string(),
         source,
@@ -50,7 +65,7 @@ pub async fn fetch_to_file(
     let mut out = tokio::fs::File::create_new(file)
         .await
         .map_err(not_written)?;
-    let mut ranges = std::pin::pin!(ranges(store, meta));
+    let mut ranges = std::pin::pin!(ranges(store, meta, range));
     while let Some(range) = ranges.try_next().await? {
         out.write_all(&range).await.map_err(not_written)?;
     }
@@ -60,12 +75,13 @@ pub async fn fetch_to_file(
 fn check_size(
     store: &dyn ObjectStore,
     meta: &ObjectMeta,
+    bytes: u64,
     max_bytes: u64,
 ) -> Result<(), StoreError> {
-    if meta.bytes > max_bytes {
+    if bytes > max_bytes {
         return Err(StoreError::TooLarge {
             object: store.address(&meta.key),
-            bytes: meta.bytes,
+            bytes,
             limit: max_bytes,
         });
     }
@@ -75,13 +91,14 @@ fn check_size(
 fn ranges(
     store: &dyn ObjectStore,
     meta: &ObjectMeta,
+    range: Range<u64>,
 ) -> impl Stream<Item = Result<Bytes, StoreError>> {
-    stream::try_unfold(0, async move |start| {
-        if start >= meta.bytes {
+    stream::try_unfold(range, async move |rest| {
+        if rest.is_empty() {
             return Ok(None);
         }
-        let end = meta.bytes.min(start + RANGE_BYTES);
-        let range = store.get_range(meta, start..end).await?;
-        Ok(Some((range, end)))
+        let end = rest.end.min(rest.start + RANGE_BYTES);
+        let range = store.get_range(meta, rest.start..end).await?;
+        Ok(Some((range, end..rest.end)))
     })
 }

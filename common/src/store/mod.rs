@@ -29,7 +29,7 @@ use futures_util::stream::BoxStream;
 
 pub use dir::DirStore;
 pub use error::StoreError;
-pub use fetch::{fetch, fetch_to_file};
+pub use fetch::{fetch, fetch_range_to_file, fetch_to_file};
 pub use key::{KeyError, MAX_KEY_BYTES, ObjectKey};
 pub use probe::{Access, probe};
 pub use s3::{S3Options, S3Store};

@@ -1,6 +1,7 @@
 //! What every broker promises, asked of each in the same words.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use plumbline_common::id::RunId;
@@ -55,6 +56,7 @@ pub(crate) async fn keeps_the_contract(broker: &dyn Broker) {
     a_missing_queue_is_told_to_the_right_publisher(broker).await;
     messages_have_a_largest_size(broker).await;
     a_cancelled_wait_loses_nothing(broker).await;
+    a_subscription_that_is_given_up_takes_nothing(broker).await;
     a_lease_has_one_holder(broker).await;
 }
 
@@ -416,4 +418,43 @@ async fn a_lease_has_one_holder(broker: &dyn Broker) {
     timeout(DEADLINE, taken)
         .await
         .expect("a lease whose holder is gone");
+}
+
+async fn a_subscription_that_is_given_up_takes_nothing(broker: &dyn Broker) {
+    const N: usize = 20;
+    // At each of its waits, one after the other.
+    let mut polls = 1;
+    while polled(polls, broker.consume(&JOBS, 1)).await.is_none() {
+        polls += 1;
+    }
+    // In the middle of each.
+    for wait_ms in 0..10 {
+        let wait = Duration::from_millis(wait_ms);
+        let _given_up = timeout(wait, broker.consume(&JOBS, 1)).await;
+    }
+    let mut consumer = broker.consume(&JOBS, 2).await.unwrap();
+    publish_all(broker, &JOBS, numbered(N), N).await.unwrap();
+    for _ in 0..N {
+        let delivery = next(&mut consumer).await;
+        delivery.settle(Settlement::Done).await.unwrap();
+    }
+    let started = Instant::now();
+    while broker.consumers(&JOBS).await.unwrap() != 1 {
+        assert!(started.elapsed() < DEADLINE, "there are others");
+    }
+}
+
+/// Polls `future` so often and gives it up then; what it gave, if it came to that.
+async fn polled<F: Future>(polls: usize, future: F) -> Option<F::Output> {
+    let mut future = std::pin::pin!(future);
+    let mut left = polls;
+    std::future::poll_fn(|context| {
+        left -= 1;
+        match future.as_mut().poll(context) {
+            Poll::Pending if left > 0 => Poll::Pending,
+            Poll::Pending => Poll::Ready(None),
+            Poll::Ready(output) => Poll::Ready(Some(output)),
+        }
+    })
+    .await
 }

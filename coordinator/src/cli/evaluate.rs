@@ -58,6 +58,12 @@ pub(super) fn run(args: EvaluateArgs) -> Result<u8, Failure> {
     let out = match args.out {
         Some(out) => out,
         None if args.scores.is_dir() => args.scores.clone(),
+        None if !args.scores.exists() => {
+            return Err(Failure::usage(format!(
+                "{}: no such file or directory; check the path",
+                args.scores.display()
+            )));
+        }
         None => {
             return Err(Failure::usage(format!(
                 "{} is no directory that results could go to: name one with --out",

@@ -7,15 +7,34 @@ use clap::Args;
 use super::measuring::{Measuring, MeasuringArgs, ThresholdsArg};
 use super::summary::printable;
 use super::{Failure, exit, print_text};
-use crate::explain::{self, ExplainOptions, Explained, RunError};
+use crate::explain::{self, ExplainOptions, Explained, OneVideo, RunError};
 use crate::progress::say;
+
+/// The video of a command on one.
+#[derive(Debug, Args)]
+pub(super) struct OneVideoArgs {
+    /// The video, a directory of numbered images, or a dataset or shard that holds it
+    #[arg(value_name = "VIDEO")]
+    source: String,
+    /// Which of the source's videos, by its name in scores.*
+    #[arg(long = "video", value_name = "NAME")]
+    name: Option<String>,
+}
+
+impl From<OneVideoArgs> for OneVideo {
+    fn from(args: OneVideoArgs) -> Self {
+        Self {
+            source: args.source,
+            name: args.name,
+        }
+    }
+}
 
 /// Explains one video: its series, peak and faults with frame, time and place, heat maps, and an overlay video
 #[derive(Debug, Args)]
 pub(super) struct ExplainArgs {
-    /// The video, or a directory of numbered images
-    #[arg(value_name = "VIDEO")]
-    video: String,
+    #[command(flatten)]
+    video: OneVideoArgs,
     /// Directory for the results; those of an earlier explanation are replaced
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -29,10 +48,12 @@ pub(super) struct ExplainArgs {
 }
 
 pub(super) fn run(args: ExplainArgs) -> Result<u8, Failure> {
-    let Measuring { mut profile, slots } = args.measuring.usable(Some(1))?;
+    let measuring = args.measuring.usable(Some(1))?;
+    measuring.load_networks()?;
+    let Measuring { mut profile, slots } = measuring;
     let fault_calibration = args.thresholds.apply(&mut profile)?;
     let options = ExplainOptions {
-        video: args.video,
+        video: args.video.into(),
         out: args.out,
         profile,
         fault_calibration,
@@ -64,6 +85,7 @@ pub(super) fn failure(error: &RunError) -> Failure {
             RunError::Interrupted => exit::INTERRUPTED,
             RunError::Corpus(_)
             | RunError::NotOne { .. }
+            | RunError::NoSuchVideo { .. }
             | RunError::OutInUse { .. }
             | RunError::ScoresThere { .. }
             | RunError::Profile(_) => exit::USAGE,

@@ -1,6 +1,7 @@
 //! The command line: what was typed, made usable, handed to the library; results to exit codes.
 
 mod evaluate;
+mod examples;
 mod explain;
 mod fleet;
 mod flow;
@@ -16,15 +17,17 @@ mod sample;
 mod score;
 mod slam;
 mod summary;
+mod tradeoff;
 mod watching;
 
 use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use plumbline_common::queue::QueueError;
 use plumbline_common::telemetry::{self, LogFormat};
+use plumbline_worker::packaging::Packaging;
 
 /// Exit codes of every command (design, section 3).
 pub mod exit {
@@ -42,7 +45,7 @@ pub mod exit {
 
 /// Tells which generated videos break physics, without any reference.
 #[derive(Debug, Parser)]
-#[command(name = "plumbline", version, arg_required_else_help = true)]
+#[command(name = "plumbline", version, arg_required_else_help = true, after_help = examples::PLUMBLINE)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -53,24 +56,39 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    #[command(after_help = examples::SCORE)]
     Score(Box<score::ScoreArgs>),
+    #[command(after_help = examples::EVALUATE)]
     Evaluate(evaluate::EvaluateArgs),
+    #[command(after_help = examples::EXPLAIN)]
     Explain(explain::ExplainArgs),
+    #[command(after_help = examples::FLEET)]
     Fleet(fleet::FleetArgs),
+    #[command(after_help = examples::FLOW)]
     Flow(flow::FlowArgs),
+    #[command(after_help = examples::JUDGE)]
     Judge(Box<judge::JudgeArgs>),
+    #[command(after_help = examples::PROFILE)]
     Profile(profile::ProfileArgs),
+    #[command(after_help = examples::REFERENCE)]
     Reference(reference::ReferenceArgs),
+    #[command(after_help = examples::REDUCE)]
     Reduce(Box<reduce::ReduceArgs>),
+    #[command(after_help = examples::REPORT)]
     Report(report::ReportArgs),
+    #[command(after_help = examples::SAMPLE)]
     Sample(sample::SampleArgs),
+    #[command(after_help = examples::SLAM)]
     Slam(slam::SlamArgs),
+    Tradeoff(Box<tradeoff::TradeoffArgs>),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]
     ComputeChild {
         #[arg(long)]
         memory_mib: u64,
     },
+    #[command(flatten)]
+    Packaging(Packaging),
 }
 
 /// Parses the command line and runs it. Errors are one line on standard error.
@@ -91,12 +109,17 @@ pub fn main() -> ExitCode {
         Command::Report(args) => report::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Slam(args) => slam::run(args),
+        Command::Tradeoff(args) => tradeoff::run(*args),
         Command::ComputeChild { memory_mib } => plumbline_worker::child::run(memory_mib)
             .map(|()| exit::OK)
             .map_err(|error| Failure {
                 code: exit::STOPPED,
                 message: format!("{error:#}"),
             }),
+        Command::Packaging(packaging) => packaging
+            .run(Cli::command())
+            .map(|()| exit::OK)
+            .map_err(|error| Failure::stopped(format!("{error:#}"))),
     };
     match outcome {
         Ok(code) => ExitCode::from(code),

@@ -20,7 +20,7 @@ pub(super) struct ProfileArgs {
 enum Command {
     /// Prints every knob as TOML: change some, and give the file to --profile
     Show {
-        /// draft, standard, accurate or FILE.toml
+        /// draft, standard, accurate, reference or FILE.toml
         #[arg(default_value = "standard", value_name = "PROFILE")]
         profile: ProfileName,
         /// Print JSON, with the digest
@@ -29,7 +29,7 @@ enum Command {
     },
     /// Prints the knobs that two profiles have set differently
     Diff {
-        /// draft, standard, accurate or FILE.toml
+        /// draft, standard, accurate, reference or FILE.toml
         #[arg(value_name = "PROFILE")]
         first: ProfileName,
         /// Another
@@ -47,7 +47,30 @@ fn purpose(rung: Rung) -> &'static str {
         Rung::Draft => "triage",
         Rung::Standard => "overnight",
         Rung::Accurate => "decisions",
+        Rung::Reference => "comparison with published WorldScore numbers",
     }
+}
+
+/// What a profile of learned networks takes, beside its knobs.
+fn takes(profile: &Profile) -> Vec<String> {
+    let mut lines = Vec::new();
+    if profile.sea_raft.is_some() || profile.droid.is_some() {
+        lines.push(
+            "runs learned networks: needs --models PLACE and --onnxruntime FILE (deploy/models/README.md)"
+                .to_owned(),
+        );
+        if profile.models() == [None, None] {
+            lines
+                .push("the digests of the models found there become part of the digest".to_owned());
+        }
+    }
+    if let Some(droid) = &profile.droid {
+        lines.push(format!(
+            "takes a minute or two per frame and core, tens of minutes per clip, and up to 4 GiB for a clip of {} frames; longer ones are over_limit",
+            droid.most_frames
+        ));
+    }
+    lines
 }
 
 pub(super) fn run(args: ProfileArgs) -> Result<u8, Failure> {
@@ -71,9 +94,13 @@ fn show(profile: &Profile, json: bool) -> Result<String, Failure> {
         let shown = json!({"name": profile.name(), "digest": digest, "parameters": profile});
         return serde_json::to_string_pretty(&shown).map_err(Failure::stopped);
     }
+    let takes: String = takes(profile)
+        .iter()
+        .map(|line| format!("# {line}\n"))
+        .collect();
     let knobs = profiles::to_toml(profile).map_err(Failure::usage)?;
     Ok(format!(
-        "# profile {}: for {}\n# digest {digest}\n\n{knobs}",
+        "# profile {}: for {}\n# digest {digest}\n{takes}\n{knobs}",
         profile.name(),
         purpose(profile.rung),
     ))

@@ -1,14 +1,20 @@
 //! The options by which a command reaches a fleet.
 
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
 use plumbline_common::queue::{AmqpBroker, Broker};
 use plumbline_worker::settings::Settings;
+use tokio::time::timeout;
 
 use super::Failure;
 use crate::fleet::FleetOptions;
+use crate::progress::say;
+
+/// How long a broker may take to answer before a person is told that nothing else happens.
+const SILENCE: Duration = Duration::from_secs(3);
 
 /// Where the broker is.
 #[derive(Debug, Args)]
@@ -55,7 +61,16 @@ pub(super) async fn connect(typed: Option<&str>) -> Result<Arc<dyn Broker>, Fail
             "the broker's address is missing: --queue amqp://USER:PASSWORD@HOST:PORT/VHOST, or PLUMBLINE_QUEUE__URL",
         ));
     };
-    let broker = AmqpBroker::connect(url, settings.amqp_options()).await;
+    let mut connecting = pin!(AmqpBroker::connect(url, settings.amqp_options()));
+    let broker = match timeout(SILENCE, &mut connecting).await {
+        Ok(broker) => broker,
+        Err(_elapsed) => {
+            say(
+                "the broker does not answer yet; trying for some minutes: check that it runs, and its address (--log info says more)",
+            );
+            connecting.await
+        }
+    };
     Ok(Arc::new(broker.map_err(super::queue_failure)?))
 }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use plumbline_sample::corpus::sample_corpus;
+use plumbline_sample::corpus::{camera_corpus, sample_corpus};
 
 use super::{Failure, exit};
 use crate::progress::{Progress, say};
@@ -18,6 +18,9 @@ pub(super) struct SampleArgs {
     /// Another seed renders another corpus
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
+    /// Clips of one size and length whose cameras stand, turn or travel, without faults: to compare what they cost
+    #[arg(long)]
+    cameras: bool,
     /// Leave out the dense truth (flow, depth, bodies); poses and labels are always written
     #[arg(long)]
     no_dense_truth: bool,
@@ -30,7 +33,10 @@ pub(super) fn run(args: &SampleArgs) -> Result<u8, Failure> {
         Truth::Dense
     };
     let sample = SampleDir::create(&args.out).map_err(Failure::stopped)?;
-    let clips = sample_corpus(args.seed);
+    let clips = match args.cameras {
+        true => camera_corpus(args.seed),
+        false => sample_corpus(args.seed),
+    };
     let mut progress = Progress::start(clips.len() as u64, 0);
     for clip in &clips {
         sample.write_clip(clip, truth).map_err(Failure::stopped)?;

@@ -15,17 +15,19 @@ use super::queue::QueueArgs;
 use super::reducing::ReducingArgs;
 use super::watching::WatchingArgs;
 use super::{Failure, exit, print_json, summary};
-use crate::corpus::{CorpusError, GroupBy};
+use crate::cascade::budget::Budget;
+use crate::corpus::{Choice, CorpusError, GroupBy};
 use crate::metrics::Metrics;
+use crate::reduce::outcome::NormaliseWithin;
 use crate::report::state::told_command;
-use crate::run::{self, RunError, ScoreOptions};
+use crate::run::{self, CascadeOptions, RunError, ScoreOptions};
 use crate::watch;
 
 /// Scores every video of a source: scores, manifests, rewards and a report
 #[derive(Debug, Args)]
 pub(super) struct ScoreArgs {
-    /// Videos, directories (recursive), globs, s3://BUCKET/PREFIX, or lists (.txt, .csv, .jsonl, .parquet
-    /// with a column `video`)
+    /// Videos, directories (recursive), globs, s3://BUCKET/PREFIX, LeRobot datasets, WebDataset shards
+    /// (rollout-{000..127}.tar), or lists (.txt, .csv, .jsonl, .parquet with a column `video`)
     #[arg(required = true, value_name = "SOURCE")]
     sources: Vec<String>,
     /// Directory or s3://BUCKET/PREFIX for the results; a run that was stopped resumes from it
@@ -38,11 +40,19 @@ pub(super) struct ScoreArgs {
     /// Also draw the worst frame of each of the K most anomalous videos, linked from the report
     #[arg(long, value_name = "K", default_value_t = 0)]
     heatmaps: usize,
+    /// Measure at draft, and with --profile only where a keep/drop decision is uncertain: until auto (99% of
+    /// the decisions are expected to be those of --profile), agreement=P%, cpu=TIME or per-video=TIME (s, min, h)
+    #[arg(long, value_name = "BUDGET", conflicts_with_all = ["reference", "watch"])]
+    budget: Option<Budget>,
     #[command(flatten)]
     reducing: ReducingArgs,
     /// Groups: a list's COLUMN, path:N (N-th directory below SOURCE) or prefix:SEP (file name before SEP)
     #[arg(long, value_name = "RULE")]
     group_by: Option<GroupBy>,
+    /// Only videos of this camera (a LeRobot video key such as observation.images.top, or a list's column
+    /// `camera`); again for more [default: all]
+    #[arg(long = "camera", value_name = "KEY")]
+    cameras: Vec<String>,
     /// Videos measured at once [default: one per core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
@@ -158,13 +168,30 @@ impl ScoreArgs {
 
     /// From what was typed to what is usable.
     fn into_options(self) -> Result<ScoreOptions, Failure> {
-        let Measuring { mut profile, slots } = self.measuring.usable(self.jobs)?;
+        let measuring = self.measuring.usable(self.jobs)?;
+        // A fleet's workers have places and libraries of their own.
+        if !self.fleet.is_given() {
+            measuring.load_networks()?;
+        }
+        let Measuring { mut profile, slots } = measuring;
         let fault_calibration = self.thresholds.apply(&mut profile)?;
         let reduce = self.reducing.options(Some(&profile))?;
+        let cascade = self
+            .budget
+            .map(|budget| CascadeOptions::up_to(&profile, budget));
+        let cascade = cascade.transpose().map_err(Failure::usage)?;
+        if cascade.is_some() && reduce.normalise_within == NormaliseWithin::Group {
+            return Err(Failure::usage(
+                "--budget calibrates profiles on a sample of the whole corpus: leave out --normalise-within group",
+            ));
+        }
         Ok(ScoreOptions {
             sources: self.sources,
             out: self.out,
-            group_by: self.group_by,
+            choice: Choice {
+                group_by: self.group_by,
+                cameras: self.cameras,
+            },
             profile,
             reduce,
             resume: !self.no_resume,
@@ -172,6 +199,7 @@ impl ScoreArgs {
             fault_calibration,
             heat_maps: self.heatmaps,
             slots,
+            cascade,
             fleet: None,
             metrics: Metrics::default(),
             command: told_command(std::env::args()),

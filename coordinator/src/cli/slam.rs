@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use plumbline_vision::slam::trajectory::{TimedPose, parse_tum};
 
-use super::explain::failure;
+use super::explain::{OneVideoArgs, failure};
 use super::measuring::{ComputingArgs, Measuring};
 use super::summary::printable;
 use super::{Failure, exit, print_json};
@@ -15,9 +15,8 @@ use crate::slam::{self, SlamOptions};
 /// Finds the camera's trajectory (TUM format) and inverse depths of one video by dense bundle adjustment
 #[derive(Debug, Args)]
 pub(super) struct SlamArgs {
-    /// The video, or a directory of numbered images
-    #[arg(value_name = "SOURCE")]
-    video: String,
+    #[command(flatten)]
+    video: OneVideoArgs,
     /// Directory for the results; those of an earlier run are replaced
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -34,7 +33,7 @@ pub(super) struct SlamArgs {
 pub(super) fn run(args: SlamArgs) -> Result<u8, Failure> {
     let Measuring { profile, slots } = args.computing.usable(Some(1))?;
     let options = SlamOptions {
-        video: args.video,
+        video: args.video.into(),
         out: args.out,
         profile,
         truth: args.gt.as_deref().map(read_truth).transpose()?,

@@ -6,6 +6,7 @@ use comfy_table::{CellAlignment, Table, presets};
 use plumbline_common::row::{Decision, Row, Status};
 use serde_json::{Value, json};
 
+use crate::cascade::record::CascadeRecord;
 use crate::progress::say;
 use crate::publish::REPORT_FILE;
 use crate::reduce::order::OrderStatistics;
@@ -90,6 +91,14 @@ pub(super) fn table(finished: &Finished) {
     for warning in &finished.reduced.statistics.warnings {
         say(&format!("note: {warning}"));
     }
+    if let Some(cascade) = &finished.cascade {
+        for rung in &cascade.profiles {
+            say(&format!(
+                "{}: {} measured, {} rows",
+                rung.name, rung.measured, rung.rows
+            ));
+        }
+    }
     say(&format!(
         "{} measured now in {:.1} s ({:.2} s of compute each)",
         finished.measured_now,
@@ -167,8 +176,27 @@ pub(super) fn json(finished: &Finished) -> Value {
         "weights": statistics.weights(),
         "reference": statistics.reference,
         "warnings": statistics.warnings,
+        "cascade": finished.cascade.as_ref().map(told),
         "elapsed_s": finished.elapsed_s,
         "compute_s": finished.compute_s,
+    })
+}
+
+/// A cascade without what `corpus.json` has at length.
+fn told(cascade: &CascadeRecord) -> Value {
+    let rungs = cascade
+        .profiles
+        .iter()
+        .map(|rung| json!({ "name": rung.name, "measured": rung.measured, "rows": rung.rows }));
+    json!({
+        "budget": cascade.budget,
+        "reproducible": cascade.reproducible,
+        "ended": cascade.ended,
+        "sample": cascade.sample,
+        "expected_flips": cascade.expected_flips,
+        "expected_agreement": cascade.expected_agreement,
+        "measured_agreement": cascade.measured_agreement,
+        "profiles": rungs.collect::<Vec<_>>(),
     })
 }
 

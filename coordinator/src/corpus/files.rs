@@ -12,6 +12,7 @@ use plumbline_worker::decode::{image_files, is_image_sequence};
 use serde_json::{Map, Value};
 use walkdir::{DirEntry, WalkDir};
 
+use super::dataset::{Placed, place_file};
 use super::{CorpusError, Entry, Ignored};
 
 /// File names that are taken for videos while walking; what a file really is, its bytes say later.
@@ -19,8 +20,24 @@ pub(super) const VIDEO_EXTENSIONS: [&str; 7] = ["mp4", "m4v", "mov", "webm", "mk
 
 /// A video found, before it has a name.
 pub(super) struct Found {
+    /// Its path; of one in a dataset the path that it would have as a file, from which it is named.
     pub(super) path: PathBuf,
     pub(super) is_sequence: bool,
+    /// Columns that a dataset has for it.
+    pub(super) carried: Map<String, Value>,
+    /// Where it is, if not at its path.
+    pub(super) placed: Option<Placed>,
+}
+
+impl Found {
+    pub(super) fn at(path: PathBuf, is_sequence: bool) -> Self {
+        Self {
+            path,
+            is_sequence,
+            carried: Map::new(),
+            placed: None,
+        }
+    }
 }
 
 pub(super) fn absolute(path: &Path) -> PathBuf {
@@ -29,13 +46,22 @@ pub(super) fn absolute(path: &Path) -> PathBuf {
         .unwrap_or_else(|_| path.to_path_buf())
 }
 
+/// What is below a directory.
+pub(super) struct Walked {
+    pub(super) found: Vec<Found>,
+    /// Files that are not named like videos.
+    pub(super) others: Vec<PathBuf>,
+}
+
+/// Counts a file that is passed over.
+pub(super) fn ignore(ignored: &mut Ignored, path: &Path) {
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    *ignored.entry(extension.into_owned()).or_default() += 1;
+}
+
 /// Every video below `root`: files by extension, and directories of numbered images that hold no
 /// video beside them. Hidden files and directories are passed over.
-pub(super) fn walk(
-    root: &Path,
-    out: Option<&Path>,
-    ignored: &mut Ignored,
-) -> Result<Vec<Found>, CorpusError> {
+pub(super) fn walk(root: &Path, out: Option<&Path>) -> Result<Walked, CorpusError> {
     let visible = |entry: &DirEntry| {
         entry.depth() == 0
             || !(entry.file_name().as_bytes().starts_with(b".") || Some(entry.path()) == out)
@@ -56,10 +82,7 @@ pub(super) fn walk(
             Err(error) if error.loop_ancestor().is_some() => continue,
             Err(error) => match error.path() {
                 Some(path) if path.is_symlink() && is_video_name(path) => {
-                    found.push(Found {
-                        path: path.to_path_buf(),
-                        is_sequence: false,
-                    });
+                    found.push(Found::at(path.to_path_buf(), false));
                     continue;
                 }
                 Some(path) if path.is_symlink() => continue,
@@ -76,10 +99,7 @@ pub(super) fn walk(
             directories.push(path);
         } else if is_video_name(&path) {
             directories_with_video.extend(path.parent().map(Path::to_path_buf));
-            found.push(Found {
-                path,
-                is_sequence: false,
-            });
+            found.push(Found::at(path, false));
         } else {
             other_files.push(path);
         }
@@ -91,24 +111,14 @@ pub(super) fn walk(
             sequences.insert(directory);
         }
     }
-    for path in other_files {
-        if !path
-            .parent()
+    let is_frame = |path: &Path| {
+        path.parent()
             .is_some_and(|parent| sequences.contains(parent))
-        {
-            let extension = path
-                .extension()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned();
-            *ignored.entry(extension).or_default() += 1;
-        }
-    }
-    found.extend(sequences.into_iter().map(|path| Found {
-        path,
-        is_sequence: true,
-    }));
-    Ok(found)
+    };
+    let others = other_files.into_iter().filter(|path| !is_frame(path));
+    let others = others.collect();
+    found.extend(sequences.into_iter().map(|path| Found::at(path, true)));
+    Ok(Walked { found, others })
 }
 
 /// The files that a glob names, below the longest part of it without a wildcard. Unlike a walk, a
@@ -121,7 +131,7 @@ pub(super) fn expand_glob(
     let mut rest = PathBuf::new();
     for component in Path::new(pattern).components() {
         let text = component.as_os_str().to_string_lossy();
-        if rest.as_os_str().is_empty() && !text.contains(['*', '?', '[']) {
+        if rest.as_os_str().is_empty() && !text.contains(['*', '?', '[', '{']) {
             base.push(component);
         } else {
             rest.push(component);
@@ -148,10 +158,7 @@ pub(super) fn expand_glob(
         if !in_out && matcher.is_match(below) {
             let is_dir = entry.file_type().is_dir();
             if !is_dir || is_image_sequence(entry.path()) {
-                found.push(Found {
-                    path: entry.path().to_path_buf(),
-                    is_sequence: is_dir,
-                });
+                found.push(Found::at(entry.path().to_path_buf(), is_dir));
             }
         }
     }
@@ -187,14 +194,19 @@ pub(super) fn relative_name(path: &Path, root: &Path) -> String {
         Ok(below) if !below.as_os_str().is_empty() => below.as_os_str(),
         _ => path.file_name().unwrap_or(path.as_os_str()),
     };
-    let mut name = String::new();
-    for chunk in below.as_bytes().utf8_chunks() {
-        name.push_str(chunk.valid());
+    text_of(below.as_bytes())
+}
+
+/// Bytes as text; those that are not UTF-8 percent-encoded.
+pub(super) fn text_of(bytes: &[u8]) -> String {
+    let mut text = String::new();
+    for chunk in bytes.utf8_chunks() {
+        text.push_str(chunk.valid());
         for byte in chunk.invalid() {
-            name.push_str(&format!("%{byte:02X}"));
+            text.push_str(&format!("%{byte:02X}"));
         }
     }
-    name
+    text
 }
 
 pub(super) fn is_video_name(path: &Path) -> bool {
@@ -205,41 +217,34 @@ pub(super) fn is_video_name(path: &Path) -> bool {
     extension.is_some_and(|extension| VIDEO_EXTENSIONS.contains(&extension.as_str()))
 }
 
-pub(super) fn stat(video: VideoId, found: Found, carried: Map<String, Value>) -> Entry {
-    let bytes_of_path = found.path.as_os_str().as_bytes().to_vec();
-    let (location, size_and_time) = if found.is_sequence {
-        let images = image_files(&found.path).map_err(|error| error.to_string());
-        let all = images.and_then(|images| {
-            images
-                .iter()
-                .map(|image| size_and_time(image))
-                .collect::<Result<Vec<_>, _>>()
-        });
-        let total = all.map(|all| {
-            let bytes = all.iter().map(|(bytes, _)| bytes).sum();
-            (
-                bytes,
-                all.iter()
-                    .map(|(_, modified_ns)| *modified_ns)
-                    .max()
-                    .unwrap_or_default(),
-            )
-        });
-        (Location::ImageSequence(bytes_of_path), total)
-    } else {
-        (Location::File(bytes_of_path), size_and_time(&found.path))
+/// The entry of what was found, as it is now.
+pub(super) fn stat(video: VideoId, found: Found) -> Entry {
+    let placed = match found.placed {
+        Some(placed) => placed,
+        None if found.is_sequence => place_images(&found.path),
+        None => place_file(&found.path),
     };
-    let (bytes, modified_ns, problem) = match size_and_time {
-        Ok((bytes, modified_ns)) => (Some(bytes), Some(modified_ns), None),
+    placed.into_entry(video, found.carried)
+}
+
+fn place_images(directory: &Path) -> Placed {
+    let images = image_files(directory).map_err(|error| error.to_string());
+    let all = images.and_then(|images| {
+        let all = images.iter().map(|image| size_and_time(image));
+        all.collect::<Result<Vec<_>, _>>()
+    });
+    let (bytes, modified_ns, problem) = match all {
+        Ok(all) => {
+            let bytes = all.iter().map(|(bytes, _)| bytes).sum();
+            let latest = all.iter().map(|(_, modified_ns)| *modified_ns).max();
+            (Some(bytes), Some(latest.unwrap_or_default()), None)
+        }
         Err(problem) => (None, None, Some(problem)),
     };
-    Entry {
-        video,
-        location,
+    Placed {
+        location: Location::ImageSequence(directory.as_os_str().as_bytes().to_vec()),
         bytes,
         modified_ns,
         problem,
-        group: None,
-        carried,
     }
 }

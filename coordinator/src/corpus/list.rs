@@ -2,10 +2,13 @@
 //! columns carried through). Relative paths are relative to the list's own directory.
 
 use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
+use bytes::Bytes;
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::file::reader::ChunkReader;
 use serde_json::{Map, Value};
 
 use super::CorpusError;
@@ -15,11 +18,11 @@ const VIDEO_COLUMN: &str = "video";
 
 /// One line of a list.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Line {
+pub struct Line {
     /// The video as written.
-    pub(crate) video: String,
+    pub video: String,
     /// The other columns, in their order.
-    pub(crate) carried: Map<String, Value>,
+    pub carried: Map<String, Value>,
 }
 
 /// Whether a path's extension says that it is a list.
@@ -39,7 +42,7 @@ pub(super) fn name_of(written: &str) -> &str {
 ///
 /// # Errors
 /// [`CorpusError::List`] naming file, line and remedy.
-pub(crate) fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
+pub fn read(path: &Path) -> Result<Vec<Line>, CorpusError> {
     read_columns(path, &|_| true)
 }
 
@@ -52,10 +55,11 @@ pub(crate) fn read_columns(
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Vec<Line>, CorpusError> {
     let wanted = |column: &str| column == VIDEO_COLUMN || wanted(column);
+    let open = || File::open(path).map_err(|error| unreadable(&error));
     let lines = match extension(path).as_deref() {
-        Some("csv") => read_csv(path, &wanted),
-        Some("jsonl") => read_text(path).and_then(|text| parse_jsonl(&text, &wanted)),
-        Some("parquet") => read_parquet(path, &wanted),
+        Some("csv") => open().and_then(|file| read_csv(file, &wanted, split_row)),
+        Some("jsonl") => read_text(path).and_then(|text| parse_jsonl(&text, &wanted, split_row)),
+        Some("parquet") => open().and_then(|file| read_parquet(file, &wanted, split_row)),
         _ => read_text(path).map(|text| parse_txt(&text)),
     };
     lines.map_err(|reason| CorpusError::List {
@@ -64,12 +68,38 @@ pub(crate) fn read_columns(
     })
 }
 
+/// The rows of a table in memory, `.csv`, `.jsonl` or `.parquet` by its name, with those of its columns that are
+/// `wanted`.
+///
+/// # Errors
+/// Where and why it does not read.
+pub(super) fn rows_of(
+    name: &Path,
+    content: Vec<u8>,
+    wanted: &dyn Fn(&str) -> bool,
+) -> Result<Vec<Map<String, Value>>, String> {
+    let as_it_is = |row, _at: &str| Ok(row);
+    match extension(name).as_deref() {
+        Some("csv") => read_csv(&content[..], wanted, as_it_is),
+        Some("parquet") => read_parquet(Bytes::from(content), wanted, as_it_is),
+        _ => parse_jsonl(&text(content)?, wanted, as_it_is),
+    }
+}
+
 fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }
 
+/// Says what to do where a list cannot be opened or read.
+fn unreadable(error: &std::io::Error) -> String {
+    format!("cannot be read ({error}); check that the file exists and may be read")
+}
+
 fn read_text(path: &Path) -> Result<String, String> {
-    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    text(std::fs::read(path).map_err(|error| unreadable(&error))?)
+}
+
+fn text(bytes: Vec<u8>) -> Result<String, String> {
     let text =
         String::from_utf8(bytes).map_err(|_| "is not UTF-8 text: save it as UTF-8".to_owned())?;
     // Some editors begin UTF-8 files with a byte order mark.
@@ -87,7 +117,14 @@ fn parse_txt(text: &str) -> Vec<Line> {
         .collect()
 }
 
-fn parse_jsonl(text: &str, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
+/// What is made of a row, said to stand at a place.
+type Make<T> = fn(Map<String, Value>, &str) -> Result<T, String>;
+
+fn parse_jsonl<T>(
+    text: &str,
+    wanted: &dyn Fn(&str) -> bool,
+    make: Make<T>,
+) -> Result<Vec<T>, String> {
     let numbered = text
         .lines()
         .enumerate()
@@ -98,13 +135,17 @@ fn parse_jsonl(text: &str, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, S
             let mut row: Map<String, Value> = serde_json::from_str(line)
                 .map_err(|error| format!("{at} is not a JSON object ({error})"))?;
             row.retain(|column, _| wanted(column));
-            split_row(row, &at)
+            make(row, &at)
         })
         .collect()
 }
 
-fn read_csv(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
-    let mut reader = csv::Reader::from_path(path).map_err(|error| error.to_string())?;
+fn read_csv<T>(
+    file: impl Read,
+    wanted: &dyn Fn(&str) -> bool,
+    make: Make<T>,
+) -> Result<Vec<T>, String> {
+    let mut reader = csv::Reader::from_reader(file);
     let header = reader.headers().map_err(|error| error.to_string())?.clone();
     reader
         .records()
@@ -120,14 +161,17 @@ fn read_csv(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, Str
             let row = row
                 .map(|(column, cell)| (column.to_owned(), cell))
                 .collect();
-            split_row(row, &format!("row {}", index + 1))
+            make(row, &format!("row {}", index + 1))
         })
         .collect()
 }
 
 /// Through Arrow's own JSON writer, so that every column type becomes the JSON value users expect.
-fn read_parquet(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>, String> {
-    let file = File::open(path).map_err(|error| error.to_string())?;
+fn read_parquet<T>(
+    file: impl ChunkReader + 'static,
+    wanted: &dyn Fn(&str) -> bool,
+    make: Make<T>,
+) -> Result<Vec<T>, String> {
     let reader = ParquetRecordBatchReaderBuilder::try_new(file)
         .and_then(|builder| {
             let fields = builder.schema().fields().iter().enumerate();
@@ -147,7 +191,7 @@ fn read_parquet(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Line>,
     }
     writer.finish().map_err(|error| error.to_string())?;
     drop(writer);
-    parse_jsonl(&String::from_utf8_lossy(&json), &|_| true)
+    parse_jsonl(&String::from_utf8_lossy(&json), &|_| true, make)
 }
 
 fn split_row(mut row: Map<String, Value>, at: &str) -> Result<Line, String> {

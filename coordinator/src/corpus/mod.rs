@@ -1,15 +1,18 @@
 //! The frozen corpus: every input video of a run, once, with its name, place, size and time.
 //!
 //! A source is a video, a directory (recursive), a glob, an object or all below a prefix of an object
-//! store (`s3://`), or a list. Listing opens no video: what is
+//! store (`s3://`), or a list; datasets among them are read as such (`dataset`). Listing opens no video: what is
 //! wrong with one becomes its row, not an error of the run. What makes the *list* wrong (no such
 //! source, an unreadable directory, a duplicate name, an unknown column) is an error before any work.
 
 mod camera;
+mod choice;
+mod dataset;
 mod files;
 mod group;
 mod list;
 mod objects;
+mod pattern;
 mod source;
 
 use std::collections::BTreeMap;
@@ -20,8 +23,10 @@ use plumbline_common::store::StoreError;
 use plumbline_vision::slam::intrinsics::Intrinsics;
 use serde::{Deserialize, Serialize};
 
+pub use choice::Choice;
 pub use group::GroupBy;
-pub(crate) use list::{read as read_list, read_columns as read_list_columns};
+pub(crate) use list::read_columns as read_list_columns;
+pub use list::{Line, read as read_list};
 pub use objects::Buckets;
 pub use source::{Listing, freeze, freeze_anywhere};
 pub(crate) use source::{empty, looked_at_again};
@@ -33,7 +38,8 @@ pub struct Entry {
     pub video: VideoId,
     /// Where its bytes are.
     pub location: Location,
-    /// Size in bytes (of all images, for a sequence); `None` where it could not be read.
+    /// Size in bytes (of all images, for a sequence; of the whole file, for a part); `None` where it could not
+    /// be read.
     pub bytes: Option<u64>,
     /// Modification time, nanoseconds since the epoch (the latest, for a sequence).
     pub modified_ns: Option<i128>,
@@ -41,7 +47,7 @@ pub struct Entry {
     pub problem: Option<String>,
     /// The value of `--group-by`.
     pub group: Option<String>,
-    /// Columns carried through from a list.
+    /// Columns carried through from a list or dataset.
     pub carried: serde_json::Map<String, serde_json::Value>,
 }
 
@@ -128,6 +134,32 @@ pub enum CorpusError {
         first: String,
         /// The other.
         second: String,
+    },
+    /// A shard without a way to its members.
+    #[error(
+        "{shard}: a compressed shard, of which no member can be read without all before it; unpack it (gunzip, unzstd) to a plain .tar, and compress its members where that is worth it"
+    )]
+    Compressed {
+        /// As typed.
+        shard: String,
+    },
+    /// Episodes of two datasets.
+    #[error(
+        "{first} and {second}: two LeRobot datasets, whose episodes have the same numbers; score each by itself, into an --out of its own"
+    )]
+    SeveralDatasets {
+        /// One of them.
+        first: String,
+        /// Another.
+        second: String,
+    },
+    /// `--camera` names none that there is.
+    #[error("--camera {camera}: no such camera; the videos have {known}")]
+    UnknownCamera {
+        /// As typed.
+        camera: String,
+        /// What there is.
+        known: String,
     },
     /// `--group-by` names no column.
     #[error("--group-by {column}: no such column; the list has {known}")]

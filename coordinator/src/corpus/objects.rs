@@ -1,23 +1,31 @@
 //! Videos in object stores: what lies below `s3://bucket/prefix`, and the objects that lists name.
 
-use std::collections::HashMap;
+mod found;
+
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
 use async_trait::async_trait;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use plumbline_common::id::VideoId;
-use plumbline_common::message::{Location, ObjectLocation};
+use plumbline_common::message::ObjectLocation;
 use plumbline_common::store::{
     self, Access, ObjectKey, ObjectMeta, ObjectStore, S3Options, StoreError,
 };
 use serde_json::{Map, Value};
 
-use super::files::is_video_name;
+use super::dataset::{self, place_missing, place_object};
+use super::files::ignore;
 use super::{CorpusError, Entry, Ignored, list};
+pub(super) use found::{Below, FoundObject};
+use found::{is_looked_at, sorted_out};
 
 /// Objects of a list looked up at once: enough to hide the way to the store, few enough for any store.
 const LOOK_UPS: usize = 64;
+
+/// Sources looked at once: one may be one of a thousand numbered shards.
+const SOURCES_AT_ONCE: usize = 16;
 
 /// Largest list read from a store, bytes: ten million lines.
 const MAX_LIST_BYTES: u64 = 1 << 30;
@@ -103,65 +111,12 @@ impl std::fmt::Display for Address {
     }
 }
 
-/// An object in the version that was listed.
-#[derive(Debug)]
-pub(super) struct ObjectLocationAndSize {
-    location: ObjectLocation,
-    bytes: u64,
-}
-
-impl ObjectLocationAndSize {
-    fn new(bucket: &str, meta: ObjectMeta) -> Self {
-        Self {
-            bytes: meta.bytes,
-            location: ObjectLocation {
-                bucket: bucket.to_owned(),
-                key: meta.key.to_string(),
-                etag: meta.etag,
-                modified_s: meta.modified_s,
-            },
-        }
-    }
-
-    /// Named by what follows `root`.
-    pub(super) fn into_entry(self, root: &str) -> Result<Entry, CorpusError> {
-        let address = self.location.to_string();
-        let name = address.strip_prefix(root).unwrap_or(&address);
-        let video = VideoId::new(name).map_err(|error| CorpusError::List {
-            path: address.clone(),
-            reason: error.to_string(),
-        })?;
-        Ok(self.named(video, Map::new()))
-    }
-
-    fn named(self, video: VideoId, carried: Map<String, Value>) -> Entry {
-        let modified_s = self.location.modified_s.unwrap_or_default();
-        Entry {
-            video,
-            bytes: Some(self.bytes),
-            modified_ns: Some(i128::from(modified_s) * 1_000_000_000),
-            location: Location::Object(self.location),
-            problem: None,
-            group: None,
-            carried,
-        }
-    }
-}
-
 /// What a source in an object store is.
 pub(super) enum Looked {
     /// Videos.
     Objects(Below),
     /// A list of videos.
     Lines(Vec<ObjectLine>),
-}
-
-/// The videos below a prefix.
-pub(super) struct Below {
-    /// The prefix.
-    pub(super) root: Address,
-    pub(super) objects: Vec<ObjectLocationAndSize>,
-    pub(super) ignored: Ignored,
 }
 
 /// An object that a list names.
@@ -176,42 +131,65 @@ pub(super) struct ObjectLine {
     pub(super) carried: Map<String, Value>,
 }
 
-/// Looks at a source: an object of that name (a video, or a list), or all below the prefix. As in a
-/// directory, what begins with a dot is passed over, and so is what lies below `out`.
-pub(super) async fn look(
-    address: &Address,
+/// Looks at sources, several at once, and gives what they are in their order.
+pub(super) async fn look_at_all(
+    addresses: Vec<Address>,
     out: &str,
     stores: &mut OpenStores<'_>,
+) -> Result<Vec<Looked>, CorpusError> {
+    let mut with_stores = Vec::with_capacity(addresses.len());
+    for address in addresses {
+        let store = stores.get(&address.bucket).await?;
+        with_stores.push((address, store));
+    }
+    stream::iter(with_stores)
+        .map(async |(address, store)| look(&address, out, store).await)
+        .buffered(SOURCES_AT_ONCE)
+        .try_collect()
+        .await
+}
+
+/// Looks at a source: an object of that name (a video, or a list), or all below the prefix. As in a
+/// directory, what begins with a dot is passed over, and so is what lies below `out`.
+async fn look(
+    address: &Address,
+    out: &str,
+    store: Arc<dyn ObjectStore>,
 ) -> Result<Looked, CorpusError> {
-    let store = stores.get(&address.bucket).await?;
     if let Some(meta) = single(address, store.as_ref()).await? {
+        if dataset::is_compressed_shard(Path::new(&address.key)) {
+            return Err(CorpusError::Compressed {
+                shard: address.to_string(),
+            });
+        }
         if list::is_list(Path::new(&address.key)) {
             return Ok(Looked::Lines(
                 read_list(address, &meta, store.as_ref()).await?,
             ));
         }
-        return Ok(Looked::Objects(Below {
-            root: Address {
-                bucket: address.bucket.clone(),
-                key: address.parent().to_owned(),
-            },
-            objects: vec![ObjectLocationAndSize::new(&address.bucket, meta)],
-            ignored: Ignored::new(),
-        }));
+        let parent = Address {
+            bucket: address.bucket.clone(),
+            key: address.parent().to_owned(),
+        };
+        let name = address
+            .key
+            .strip_prefix(&parent.key)
+            .unwrap_or_default()
+            .to_owned();
+        let one = BTreeMap::from([(name, meta)]);
+        return Ok(Looked::Objects(sorted_out(parent, store, one, true).await?));
     }
     let prefix = address.as_prefix();
     let out = Address::parse(out).filter(|out| out.bucket == address.bucket);
     // Of OUT only what is a part of the source; where it is the whole, nothing can be told apart.
     let out = out.map(|out| out.as_prefix());
     let out = out.filter(|out| out.len() > prefix.len());
-    let mut below = Below {
-        root: Address {
-            bucket: address.bucket.clone(),
-            key: prefix.clone(),
-        },
-        objects: Vec::new(),
-        ignored: Ignored::new(),
+    let root = Address {
+        bucket: address.bucket.clone(),
+        key: prefix.clone(),
     };
+    let mut ignored = Ignored::new();
+    let mut listed = BTreeMap::new();
     let mut pages = store.list(&prefix);
     while let Some(page) = pages.try_next().await? {
         for meta in page {
@@ -223,15 +201,16 @@ pub(super) async fn look(
             if is_folder_mark || is_hidden || in_out {
                 continue;
             }
-            if is_video_name(Path::new(name)) {
-                let object = ObjectLocationAndSize::new(&address.bucket, meta);
-                below.objects.push(object);
+            if is_looked_at(name) {
+                listed.insert(name.to_owned(), meta);
             } else {
-                let extension = Path::new(name).extension().unwrap_or_default();
-                let extension = extension.to_string_lossy().into_owned();
-                *below.ignored.entry(extension).or_default() += 1;
+                ignore(&mut ignored, Path::new(name));
             }
         }
+    }
+    let mut below = sorted_out(root, store, listed, false).await?;
+    for (extension, count) in ignored {
+        *below.ignored.entry(extension).or_default() += count;
     }
     Ok(Looked::Objects(below))
 }
@@ -324,34 +303,23 @@ async fn look_up_one(line: &ObjectLine, store: &dyn ObjectStore) -> Result<Entry
         path: line.list.clone(),
         reason: error.to_string(),
     })?;
-    let carried = line.carried.clone();
     let found = match ObjectKey::new(line.address.key.as_str()) {
         Ok(key) => store.head(&key).await,
         Err(no_key) => Err(no_key.into()),
     };
-    let problem = match found {
-        Ok(meta) => {
-            let object = ObjectLocationAndSize::new(&line.address.bucket, meta);
-            return Ok(object.named(video, carried));
+    let placed = match found {
+        Ok(meta) => place_object(&line.address.bucket, meta),
+        Err(error) => {
+            let object = ObjectLocation {
+                bucket: line.address.bucket.clone(),
+                key: line.address.key.clone(),
+                etag: None,
+                modified_s: None,
+            };
+            place_missing(object, error)?
         }
-        Err(StoreError::NotFound { .. }) => "there is no such object".to_owned(),
-        Err(error @ (StoreError::Denied { .. } | StoreError::Key(_))) => error.to_string(),
-        Err(error) => return Err(error.into()),
     };
-    Ok(Entry {
-        video,
-        location: Location::Object(ObjectLocation {
-            bucket: line.address.bucket.clone(),
-            key: line.address.key.clone(),
-            etag: None,
-            modified_s: None,
-        }),
-        bytes: None,
-        modified_ns: None,
-        problem: Some(problem),
-        group: None,
-        carried,
-    })
+    Ok(placed.into_entry(video, line.carried.clone()))
 }
 
 /// The longest address ending with a slash that all of these begin with.

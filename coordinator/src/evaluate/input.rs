@@ -13,7 +13,8 @@ use crate::reduce::recipe::{BySignal, Signal};
 use crate::reduce_files;
 
 /// What a judgement, or an outcome, has to be.
-const WANTED: &str = "give a number from 0 (failure) to 1 (success), 0.5 for half a success";
+pub(crate) const WANTED_LABEL: &str =
+    "give a number from 0 (failure) to 1 (success), 0.5 for half a success";
 
 /// One row of the scores.
 pub(super) struct ScoreRow {
@@ -26,7 +27,11 @@ impl ScoreRow {
     /// The measured values; `None` for a row that is not scored.
     pub(super) fn signals(&self) -> Option<BySignal<Option<f64>>> {
         let scored = self.status == Status::Scored.as_str();
-        let value = |signal: Signal| self.columns.get(signal.column()).and_then(number);
+        let column = |name: &str| self.columns.get(name).and_then(number);
+        let value = |signal: Signal| {
+            let preferred = signal.preferred_column().and_then(column);
+            preferred.or_else(|| column(signal.column()))
+        };
         scored.then(|| BySignal::from_fn(value))
     }
 
@@ -99,7 +104,7 @@ impl Input {
                 share(value).ok_or_else(|| {
                     let video = &line.video;
                     wrong(format!(
-                        "row {}: {column} of {video} is {value}; {WANTED}",
+                        "row {}: {column} of {video} is {value}; {WANTED_LABEL}",
                         index + 1
                     ))
                 })
@@ -211,7 +216,7 @@ fn carried_real(
         (_, Some(share)) => Ok(Some(share)),
         (Some(_), None) => Err(EvaluateError::Content {
             path: options.scores.display().to_string(),
-            reason: format!("{column} of {video} is {value}; {WANTED}"),
+            reason: format!("{column} of {video} is {value}; {WANTED_LABEL}"),
         }),
     }
 }
@@ -245,7 +250,9 @@ fn read_scores(options: &EvaluateOptions) -> Result<BTreeMap<String, ScoreRow>, 
     ];
     let wanted = |column: &str| {
         ["anomaly", "status", "group", "task"].contains(&column)
-            || Signal::ALL.iter().any(|signal| signal.column() == column)
+            || Signal::ALL.iter().any(|signal| {
+                signal.column() == column || signal.preferred_column() == Some(column)
+            })
             || named.iter().flatten().any(|named| *named == column)
     };
     let mut rows = BTreeMap::new();
@@ -281,7 +288,7 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 /// A number from 0 to 1.
-fn share(value: &Value) -> Option<f64> {
+pub(crate) fn share(value: &Value) -> Option<f64> {
     number(value).filter(|share| (0.0..=1.0).contains(share))
 }
 

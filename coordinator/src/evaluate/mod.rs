@@ -23,6 +23,7 @@ use crate::reduce::outcome::Range;
 use crate::reduce_files::ReduceFilesError;
 use crate::report;
 use input::{Input, Judged};
+pub(crate) use input::{WANTED_LABEL, share};
 pub use populations::{PopulationStatistics, Populations};
 use sets::{Difference, RealGap, SetRate, TaskRates};
 

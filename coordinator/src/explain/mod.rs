@@ -20,7 +20,7 @@ use plumbline_worker::explain::{DrawError, DrawJob, Marked, Picture, PictureName
 use plumbline_worker::measure::Detailed;
 use plumbline_worker::profile::Profile;
 
-use crate::corpus::{self, CorpusError, Entry};
+use crate::corpus::{self, Choice, CorpusError, Entry};
 use crate::fanout::Slots;
 use crate::lease::Lease;
 use crate::picture::{self, PngError};
@@ -44,11 +44,20 @@ const DRAWN_FAULTS: usize = 8;
 /// Rate of the overlay where the video has none (a single frame).
 const DEFAULT_FPS: f64 = 10.0;
 
+/// The video of a command on one.
+#[derive(Debug, Clone)]
+pub struct OneVideo {
+    /// The video, or a source that holds it, as typed.
+    pub source: String,
+    /// Its name among those of the source, where that holds several.
+    pub name: Option<String>,
+}
+
 /// A usable `plumbline explain`.
 #[derive(Debug, Clone)]
 pub struct ExplainOptions {
-    /// The video, as typed.
-    pub video: String,
+    /// Which video.
+    pub video: OneVideo,
     /// Where results go.
     pub out: PathBuf,
     /// How it is measured.
@@ -97,12 +106,26 @@ pub enum RunError {
     #[error(transparent)]
     Corpus(#[from] CorpusError),
     /// Several videos.
-    #[error("{source_text}: holds {videos} videos; name one of them")]
+    #[error("{source_text}: holds {videos} videos; name one of them by --video, as {first}")]
     NotOne {
         /// As typed.
         source_text: String,
         /// How many.
         videos: usize,
+        /// The name of the first.
+        first: String,
+    },
+    /// No video of that name.
+    #[error("{source_text}: holds no video named {name}, but {videos} others, such as {first}")]
+    NoSuchVideo {
+        /// As typed.
+        source_text: String,
+        /// As typed.
+        name: String,
+        /// How many there are.
+        videos: usize,
+        /// The name of the first.
+        first: String,
     },
     /// OUT belongs to a run of `score`.
     #[error("{out}: holds the results of a score run; choose another --out")]
@@ -162,7 +185,7 @@ pub(crate) struct Claimed {
 }
 
 /// Finds the video and takes hold of OUT.
-pub(crate) fn claim(video: &str, out: &Path) -> Result<Claimed, RunError> {
+pub(crate) fn claim(video: &OneVideo, out: &Path) -> Result<Claimed, RunError> {
     let entry = the_video(video, out)?;
     let out_name = || out.display().to_string();
     let directory = OutDir::create(out)?;
@@ -178,15 +201,33 @@ pub(crate) fn claim(video: &str, out: &Path) -> Result<Claimed, RunError> {
     })
 }
 
-fn the_video(video: &str, out: &Path) -> Result<Entry, RunError> {
-    let sources = [video.to_owned()];
-    let mut entries = corpus::freeze(&sources, None, out)?.entries;
-    match entries.pop() {
-        Some(entry) if entries.is_empty() => Ok(entry),
-        _ => Err(RunError::NotOne {
-            source_text: video.to_owned(),
-            videos: entries.len() + 1,
-        }),
+fn the_video(video: &OneVideo, out: &Path) -> Result<Entry, RunError> {
+    let sources = [video.source.clone()];
+    let mut entries = corpus::freeze(&sources, &Choice::default(), out)?.entries;
+    let videos = entries.len();
+    // A frozen corpus is not empty.
+    let first = entries.first().map(|entry| entry.video.to_string());
+    let (source_text, first) = (video.source.clone(), first.unwrap_or_default());
+    match &video.name {
+        Some(name) => {
+            let found = entries
+                .into_iter()
+                .find(|entry| entry.video.as_str() == *name);
+            found.ok_or_else(|| RunError::NoSuchVideo {
+                source_text,
+                name: name.clone(),
+                videos,
+                first,
+            })
+        }
+        None => match entries.pop() {
+            Some(entry) if entries.is_empty() => Ok(entry),
+            _ => Err(RunError::NotOne {
+                source_text,
+                videos,
+                first,
+            }),
+        },
     }
 }
 

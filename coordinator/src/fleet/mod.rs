@@ -90,6 +90,8 @@ pub(crate) struct FleetRun {
     drained_at: Option<Instant>,
     last_news: Instant,
     last_look: Instant,
+    /// The question how many jobs wait, under way.
+    looking: JoinSet<Result<u64, QueueError>>,
     hinted: bool,
     /// Not answered, however often they were published.
     given_up: Vec<usize>,
@@ -150,6 +152,7 @@ impl FleetRun {
             drained_at: was_there.then(|| now + DRAINED_AFTER),
             last_news: now,
             last_look: now,
+            looking: JoinSet::new(),
             hinted: false,
             given_up: Vec::new(),
         };
@@ -232,29 +235,43 @@ impl FleetRun {
         }
     }
 
-    /// Nothing came for a while: says so, or publishes again what may be lost.
-    async fn look_around(&mut self) -> Result<(), RunError> {
+    /// Nothing came for a while: asks how many jobs wait. On a task of its own, since whoever waits for an
+    /// answer may stop waiting before the broker has told.
+    fn look_around(&mut self) {
         if self.drained_at.is_some_and(|at| at <= Instant::now()) {
             self.publish_waiting();
-            return Ok(());
+            return;
         }
         self.last_look = Instant::now();
-        let jobs = Queue::Jobs(JobKind::Fused);
-        let ready = self.broker.ready(&jobs).await?;
+        let broker = Arc::clone(&self.broker);
+        self.looking
+            .spawn(async move { broker.ready(&Queue::Jobs(JobKind::Fused)).await });
+    }
+
+    /// Says that nothing comes while so many jobs wait, or publishes again what may be lost.
+    fn looked(&mut self, ready: u64) {
         let quiet = self.last_news.elapsed();
-        if !self.hinted && ready > 0 {
+        if !self.hinted && quiet >= HINT_AFTER {
             self.hinted = true;
-            say(&format!(
-                "no answer for {} s, and {ready} jobs wait in the queue: are workers running? (plumbline-worker --queue)",
-                quiet.as_secs()
-            ));
+            let out = self.standings.all(Standing::Published).len();
+            say(&match ready {
+                0 => format!(
+                    "no answer for {} s, and no job waits in the queue: {out} are in work, or lost; after {} s without an answer they are published again (--republish-after)",
+                    quiet.as_secs(),
+                    self.republish_after.as_secs()
+                ),
+                ready => format!(
+                    "no answer for {} s, and {ready} jobs wait in the queue: are workers running? (plumbline-worker --queue)",
+                    quiet.as_secs()
+                ),
+            });
         }
         if quiet < self.republish_after {
-            return Ok(());
+            return;
         }
         self.last_news = Instant::now();
         if ready > 0 {
-            return Ok(());
+            return;
         }
         let lost = self.standings.all(Standing::Published);
         let (given_up, again): (Vec<usize>, Vec<usize>) = lost
@@ -270,7 +287,6 @@ impl FleetRun {
                 .spawn(Arc::clone(&self.publisher).publish_again(again));
         }
         self.given_up = given_up;
-        Ok(())
     }
 
     /// The row of a video that no worker answers.
@@ -333,7 +349,10 @@ impl Answers for FleetRun {
                     Err(error) => return Err(error.into()),
                 },
                 Some(ended) = self.tasks.join_next() => ended.map_err(RunError::Finishing)??,
-                () = sleep_until(next_look) => self.look_around().await?,
+                Some(ready) = self.looking.join_next() => {
+                    self.looked(ready.map_err(RunError::Finishing)??);
+                }
+                () = sleep_until(next_look), if self.looking.is_empty() => self.look_around(),
             }
         }
         Ok(None)

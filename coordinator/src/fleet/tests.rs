@@ -311,3 +311,64 @@ async fn nothing_is_published_again_while_jobs_wait_in_the_queue() {
     assert!(much_later.is_err(), "no answer, no end");
     assert_eq!(broker.ready(&JOBS).await.unwrap(), 6);
 }
+
+/// A broker that takes its time to tell how many messages wait.
+#[derive(Debug)]
+struct Slow(LocalBroker);
+
+#[async_trait]
+impl Broker for Slow {
+    async fn ready(&self, queue: &Queue) -> Result<u64, QueueError> {
+        tokio::time::sleep(Duration::from_secs(2)).await;
+        self.0.ready(queue).await
+    }
+
+    async fn declare(&self, queue: &Queue) -> Result<(), QueueError> {
+        self.0.declare(queue).await
+    }
+
+    async fn publish(&self, queue: &Queue, message: Message) -> Result<(), QueueError> {
+        self.0.publish(queue, message).await
+    }
+
+    async fn consume(&self, queue: &Queue, slots: u16) -> Result<Box<dyn Consumer>, QueueError> {
+        self.0.consume(queue, slots).await
+    }
+
+    async fn consumers(&self, queue: &Queue) -> Result<u64, QueueError> {
+        self.0.consumers(queue).await
+    }
+
+    async fn delete(&self, run: &RunId) -> Result<(), QueueError> {
+        self.0.delete(run).await
+    }
+
+    async fn lease(
+        &self,
+        run: &RunId,
+    ) -> Result<Option<Box<dyn plumbline_common::queue::Lease>>, QueueError> {
+        self.0.lease(run).await
+    }
+}
+
+/// Whoever collects stops waiting for an answer twice a second, to make rows durable.
+#[tokio::test(start_paused = true)]
+async fn what_is_lost_is_published_again_however_briefly_an_answer_is_waited_for() {
+    let broker: Arc<dyn Broker> = Arc::new(Slow(LocalBroker::new(LocalOptions::default())));
+    let after = Duration::from_secs(100);
+    let mut run = start_with(&broker, &entries(1), 4, after).await.unwrap();
+    let worker = worker(&broker, move |video, times| match times {
+        1 => vec![],
+        _ => vec![result(&run_id(), video, Status::Static, "")],
+    });
+    let started = Instant::now();
+    let brief = Duration::from_millis(500);
+    let answer = loop {
+        assert!(started.elapsed() < after * 10, "never published again");
+        if let Ok(answer) = tokio::time::timeout(brief, run.next()).await {
+            break answer.unwrap().unwrap();
+        }
+    };
+    assert_eq!(answer.outcome.measurement.status, Status::Static);
+    worker.abort();
+}

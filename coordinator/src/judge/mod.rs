@@ -25,7 +25,7 @@ use plumbline_worker::profile::Profile;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-use crate::corpus::{self, CorpusError, Entry};
+use crate::corpus::{self, Choice, CorpusError, Entry};
 use crate::fanout::{Fanout, Slots};
 use crate::measuring::job;
 use crate::progress::Progress;
@@ -130,7 +130,7 @@ pub async fn judge(options: &JudgeOptions) -> Result<Judged, JudgeError> {
     let name = options.out.file_name().and_then(|name| name.to_str());
     let name = name.ok_or_else(no_name)?;
     // The labels are no video, whatever directory they go to.
-    let entries = corpus::freeze(&options.sources, None, &options.out)?.entries;
+    let entries = corpus::freeze(&options.sources, &Choice::default(), &options.out)?.entries;
     let questions: HashMap<VideoId, String> = entries
         .iter()
         .map(|entry| Ok((entry.video.clone(), options.prompt.of(entry)?)))

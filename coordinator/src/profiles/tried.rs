@@ -17,7 +17,7 @@ use crate::picture::png;
 /// Frames of the clip: enough for every signal and for the dense adjustment to be asked.
 const FRAMES: usize = 12;
 
-/// Measures the clip with `profile`. A profile that finds too little in it (too small a picture, too few
+/// Measures the clip with `profile`, without what takes minutes for each frame. A profile that finds too little in it (too small a picture, too few
 /// frames) is none to refuse; one whose row is `failed` is.
 ///
 /// # Errors
@@ -49,7 +49,12 @@ pub async fn tried(profile: &Profile, slots: &Slots) -> Result<(), ProfileError>
         location: Location::ImageSequence(place.path().as_os_str().as_bytes().to_vec()),
         bytes,
         modified_ns: 0,
-        profile: profile.canonical()?,
+        profile: Profile {
+            sea_raft: None,
+            droid: None,
+            ..profile.clone()
+        }
+        .canonical()?,
     };
     let mut slot = ComputeSlot::new(slots.program.clone(), slots.limits, slots.fetcher.clone());
     let row = slot

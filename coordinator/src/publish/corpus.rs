@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::cascade::record::CascadeRecord;
 use crate::publish::error::PublishError;
 use crate::reduce::drift::Drift;
 use crate::reduce::outcome::{CorpusStatistics, Population, SignalStatistics};
@@ -34,6 +35,9 @@ pub struct CorpusFile {
     /// Where the fault thresholds come from, if not from the profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fault_calibration: Option<FaultCalibration>,
+    /// The ladder and what it was climbed for, where the run was a cascade; `profile` is then its top.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cascade: Option<CascadeRecord>,
     /// What the reduce says.
     #[serde(flatten)]
     pub statistics: CorpusStatistics,

@@ -42,7 +42,9 @@ pub enum PublishError {
         source: io::Error,
     },
     /// Any other failure of the file system.
-    #[error("cannot write {file}: {source}; run again to resume once the disk answers")]
+    #[error(
+        "cannot write {file}: {source}; choose another --out, or run again to resume once that can be written"
+    )]
     Io {
         /// The file as named below OUT.
         file: String,

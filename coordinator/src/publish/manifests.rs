@@ -1,5 +1,5 @@
 //! `manifests/{keep,drop,review}.*`: what a trainer reads. `path` is the video's absolute path or
-//! URI, as the corpus lists it.
+//! URI, as the corpus lists it; of a member or an episode that of the file which it is in.
 
 use plumbline_common::row::{Decision, Row};
 
@@ -35,6 +35,16 @@ pub fn manifest_columns<'a>(rows: &[Row]) -> Vec<Column<ManifestRow<'a>>> {
             r.row.measured.status_reason.as_deref().into()
         }),
     ];
+    if rows.iter().any(|row| row.rung.is_some()) {
+        columns.extend([
+            Column::field("rung", Text, |r: &ManifestRow<'a>| {
+                r.row.rung.as_deref().into()
+            }),
+            Column::field("flip_probability", Float64, |r: &ManifestRow<'a>| {
+                r.row.flip_probability.into()
+            }),
+        ]);
+    }
     let reserved: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
     let carried = carried_columns(rows.iter().map(|row| &row.carried), &reserved);
     columns.extend(

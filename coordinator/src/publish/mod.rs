@@ -101,7 +101,7 @@ pub fn publish(
     let mut written = Vec::new();
     let columns = scores::score_columns(run.rows);
     put_table(out, "scores", &columns, run.rows, formats, &mut written)?;
-    let columns = costs::cost_columns();
+    let columns = costs::cost_columns(run.costs);
     put_table(out, "costs", &columns, run.costs, &costs, &mut written)?;
     let columns = manifests::manifest_columns(run.rows);
     for decision in DECISIONS {

@@ -14,6 +14,7 @@ pub fn score_columns(rows: &[Row]) -> Vec<Column<Row>> {
         .into_iter()
         .chain(measured())
         .chain(judged())
+        .chain(on_ladder())
         .map(|column| column.name)
         .collect();
     let carried = carried_columns(rows.iter().map(|row| &row.carried), &reserved);
@@ -25,6 +26,9 @@ pub fn score_columns(rows: &[Row]) -> Vec<Column<Row>> {
     );
     columns.extend(measured());
     columns.extend(judged());
+    if rows.iter().any(|row| row.rung.is_some()) {
+        columns.extend(on_ladder());
+    }
     columns
 }
 
@@ -62,6 +66,16 @@ fn measured() -> Vec<Column<Row>> {
         Column::field("aepe_worldscore_px", Float64, |r| {
             r.measured.aepe_worldscore_px.into()
         }),
+        Column::field("reproj_droid_px", Float64, |r| {
+            r.measured.reproj_droid_px.into()
+        }),
+        Column::field("worldscore_3d", Float64, |r| {
+            r.measured.worldscore_3d.into()
+        }),
+        Column::field("worldscore_photometric", Float64, |r| {
+            r.measured.worldscore_photometric.into()
+        }),
+        Column::field("models", Text, |r| r.measured.models.as_deref().into()),
         Column::field("occluded_fraction", Float64, |r| {
             r.measured.occluded_fraction.into()
         }),
@@ -135,6 +149,14 @@ fn judged() -> Vec<Column<Row>> {
     ]
 }
 
+/// What a cascade says of it.
+fn on_ladder() -> Vec<Column<Row>> {
+    vec![
+        Column::field("rung", Text, |r| r.rung.as_deref().into()),
+        Column::field("flip_probability", Float64, |r| r.flip_probability.into()),
+    ]
+}
+
 /// The name of a scene class in every output.
 #[must_use]
 pub fn scene_name(scene: Scene) -> &'static str {
@@ -170,7 +192,8 @@ mod tests {
     const DOCUMENTED: &str = "video, group, status, status_reason, digest, bytes, frames, fps, \
         width, height, duration_s, scene, motion_px, reproj_px, reproj_method, \
         layer_residual_px, aepe_px, \
-        aepe_worldscore_px, occluded_fraction, piecewise_residual, appearance_ratio, \
+        aepe_worldscore_px, reproj_droid_px, worldscore_3d, worldscore_photometric, models, \
+        occluded_fraction, piecewise_residual, appearance_ratio, \
         layer_acceleration, layer_acceleration_q25, interior_shear, detail_change, detail_change_q25, \
         contact, \
         z_reproj_px, z_aepe_worldscore_px, z_piecewise_residual, z_appearance_ratio, \

@@ -47,6 +47,8 @@ fn row(video: &str, carried: Value) -> Row {
         reward: None,
         recipe: "paper".to_owned(),
         profile_digest: "d1ge57".to_owned(),
+        rung: None,
+        flip_probability: None,
     }
 }
 
@@ -71,6 +73,10 @@ fn full_row(video: &str, carried: Value) -> Row {
             layer_residual_px: Some(0.25),
             aepe_px: Some(-0.0),
             aepe_worldscore_px: Some(1.0),
+            reproj_droid_px: Some(0.5),
+            worldscore_3d: Some(53.25),
+            worldscore_photometric: None,
+            models: Some("droid 0123".into()),
             occluded_fraction: Some(0.0),
             piecewise_residual: Some(0.1),
             appearance_ratio: Some(2.0),
@@ -198,7 +204,7 @@ fn parquet_and_jsonl_say_the_same() {
     for (json, parquet) in from_jsonl.iter().zip(&from_parquet) {
         let names: Vec<_> = json.keys().collect();
         assert_eq!(names, parquet.keys().collect::<Vec<_>>());
-        assert_eq!(names.len(), 50 + 8);
+        assert_eq!(names.len(), 54 + 8);
         for (column, value) in json {
             assert_eq!(as_in_parquet(column, value), parquet[column], "{column}");
         }

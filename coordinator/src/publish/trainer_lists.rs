@@ -11,7 +11,7 @@
 //! has one score, which all of its frames bear: that is a weight. It is no `progress_sparse`, whose
 //! differences in time `rabc.py` weighs by: those of a constant say nothing.
 //!
-//! `shard` (or `__url__`) and `__key__` (WebDataset): `webdataset/keep.jsonl`, the kept keys by shard,
+//! `shard` (or `__shard__`, as shards are read here, or `__url__`) and `__key__` (WebDataset): `webdataset/keep.jsonl`, the kept keys by shard,
 //! a line for each run of neighbouring videos of one shard.
 //!
 //! Rows are noted in the order of `video`; memory grows with episodes alone (64 bytes each).
@@ -43,7 +43,7 @@ pub const DATASET_FROM_INDEX: &str = "dataset_from_index";
 /// Frames of an episode, as there; the measured number where it is absent.
 pub const LENGTH: &str = "length";
 /// Names of a shard, the first that there is.
-pub const SHARD: [&str; 2] = ["shard", "__url__"];
+pub const SHARD: [&str; 3] = ["shard", "__shard__", "__url__"];
 /// Name of a sample in its shard.
 pub const KEY: &str = "__key__";
 

@@ -17,6 +17,7 @@ pub mod draw;
 pub mod drift;
 pub mod histogram;
 pub mod interval;
+pub mod ladder;
 pub mod moments;
 mod natural;
 pub mod order;
@@ -305,6 +306,8 @@ fn score(yardstick: &Yardstick, video: MeasuredVideo, options: &ReduceOptions) -
         reward: anomaly.map(reward),
         recipe: recipe_name(options.recipe).to_owned(),
         profile_digest: options.profile_digest.clone(),
+        rung: None,
+        flip_probability: None,
     }
 }
 

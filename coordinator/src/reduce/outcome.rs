@@ -89,7 +89,7 @@ pub struct WeightSensitivity {
 }
 
 /// Statistics and weights of one population (the whole corpus, or one group).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Population {
     /// Scored rows.
     pub n: u64,

@@ -15,7 +15,7 @@ use super::standardise::Ruler;
 /// A measured column that may enter a recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Signal {
-    /// s_3.
+    /// s_3: DROID-SLAM's (`reproj_droid_px`) where a row has it, else `reproj_px`.
     ReprojPx,
     /// s_p.
     AepeWorldscorePx,
@@ -56,6 +56,15 @@ impl Signal {
         Self::DetailChange,
     ];
 
+    /// The column that is taken before [`column`](Self::column) in rows that have it.
+    #[must_use]
+    pub fn preferred_column(self) -> Option<&'static str> {
+        match self {
+            Self::ReprojPx => Some("reproj_droid_px"),
+            _ => None,
+        }
+    }
+
     /// Column name.
     #[must_use]
     pub fn column(self) -> &'static str {
@@ -74,7 +83,7 @@ impl Signal {
     #[must_use]
     pub fn of(self, measured: &Measurement) -> Option<f64> {
         match self {
-            Self::ReprojPx => measured.reproj_px,
+            Self::ReprojPx => measured.reproj_droid_px.or(measured.reproj_px),
             Self::AepeWorldscorePx => measured.aepe_worldscore_px,
             Self::PiecewiseResidual => measured.piecewise_residual,
             Self::AppearanceRatio => measured.appearance_ratio,

@@ -21,7 +21,7 @@ pub fn reject_non_finite(measured: &mut Measurement) -> bool {
 }
 
 /// The columns of a row that are looked at, in the order in which the first is named.
-pub const CHECKED_COLUMNS: [&str; 18] = [
+pub const CHECKED_COLUMNS: [&str; 21] = [
     "fps",
     "duration_s",
     "motion_px",
@@ -29,6 +29,9 @@ pub const CHECKED_COLUMNS: [&str; 18] = [
     "layer_residual_px",
     "aepe_px",
     "aepe_worldscore_px",
+    "reproj_droid_px",
+    "worldscore_3d",
+    "worldscore_photometric",
     "occluded_fraction",
     "piecewise_residual",
     "appearance_ratio",
@@ -73,6 +76,10 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         layer_residual_px,
         aepe_px,
         aepe_worldscore_px,
+        reproj_droid_px,
+        worldscore_3d,
+        worldscore_photometric,
+        models: _,
         occluded_fraction,
         piecewise_residual,
         appearance_ratio,
@@ -107,7 +114,7 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         detail_change: series_detail_change,
         detail_change_q25: series_detail_change_q25,
     } = series;
-    let columns: [(&str, &mut [Option<f64>]); 30] = [
+    let columns: [(&str, &mut [Option<f64>]); 33] = [
         ("fps", std::slice::from_mut(fps)),
         ("duration_s", std::slice::from_mut(duration_s)),
         ("motion_px", std::slice::from_mut(motion_px)),
@@ -117,6 +124,12 @@ fn clear_non_finite(measured: &mut Measurement) -> Option<&'static str> {
         (
             "aepe_worldscore_px",
             std::slice::from_mut(aepe_worldscore_px),
+        ),
+        ("reproj_droid_px", std::slice::from_mut(reproj_droid_px)),
+        ("worldscore_3d", std::slice::from_mut(worldscore_3d)),
+        (
+            "worldscore_photometric",
+            std::slice::from_mut(worldscore_photometric),
         ),
         ("occluded_fraction", std::slice::from_mut(occluded_fraction)),
         (
@@ -174,7 +187,12 @@ mod tests {
     #[test]
     fn every_signal_is_checked() {
         for signal in crate::reduce::recipe::Signal::ALL {
-            assert!(CHECKED_COLUMNS.contains(&signal.column()), "{signal:?}");
+            for column in [Some(signal.column()), signal.preferred_column()] {
+                assert!(
+                    column.is_none_or(|c| CHECKED_COLUMNS.contains(&c)),
+                    "{signal:?}"
+                );
+            }
         }
     }
 

@@ -356,6 +356,7 @@ fn corpus_file(
     match beside(files, profile_digest.as_ref()) {
         Some(corpus) => CorpusFile {
             plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
+            cascade: None,
             statistics,
             ..corpus
         },
@@ -369,6 +370,7 @@ fn corpus_file(
             }),
             conditioning_frames: None,
             fault_calibration: None,
+            cascade: None,
             statistics,
         },
     }

@@ -95,15 +95,16 @@ pub(super) fn check(batch: RecordBatch, file: &str) -> Result<Checked, ReduceFil
 impl Checked {
     /// The values of a signal: NaN where a row is not scored or lacks it; no −0.
     pub(super) fn signal(&self, signal: Signal) -> Vec<f64> {
-        let Some(column) = floats(&self.batch, signal.column()) else {
-            return vec![f64::NAN; self.statuses.len()];
-        };
-        let found = column.values().iter().zip(&self.statuses).enumerate();
-        found
-            .map(|(row, (&value, &status))| {
-                let there = status == Status::Scored && column.is_valid(row);
+        let column = floats(&self.batch, signal.column());
+        let preferred = signal.preferred_column();
+        let preferred = preferred.and_then(|name| floats(&self.batch, name));
+        let statuses = self.statuses.iter().enumerate();
+        statuses
+            .map(|(row, &status)| {
+                let value = float_at(preferred, row).or_else(|| float_at(column, row));
+                let value = value.filter(|_| status == Status::Scored);
                 // + 0 turns −0 into 0.
-                if there { value + 0.0 } else { f64::NAN }
+                value.map_or(f64::NAN, |value| value + 0.0)
             })
             .collect()
     }

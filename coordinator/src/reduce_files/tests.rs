@@ -133,6 +133,7 @@ fn corpus_file(statistics: CorpusStatistics) -> CorpusFile {
         }),
         conditioning_frames: Some(1),
         fault_calibration: None,
+        cascade: None,
         statistics,
     }
 }

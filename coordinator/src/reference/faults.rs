@@ -15,7 +15,7 @@ use plumbline_worker::child::SlotError;
 use plumbline_worker::profile::Profile;
 
 use super::file::{ReferenceError, directory_and_name};
-use crate::corpus::{self, CorpusError};
+use crate::corpus::{self, Choice, CorpusError};
 use crate::fanout::{Detail, Fanout, Slots};
 use crate::measuring::job;
 use crate::progress::Progress;
@@ -96,7 +96,7 @@ pub enum FitError {
 /// [`FitError`]; then nothing is written.
 pub async fn fit(options: &FitOptions) -> Result<Fitted, FitError> {
     let (directory, name) = directory_and_name(&options.out)?;
-    let entries = corpus::freeze(&options.sources, None, &options.out)?.entries;
+    let entries = corpus::freeze(&options.sources, &Choice::default(), &options.out)?.entries;
     let mut unused: Vec<(VideoId, String)> = Vec::new();
     let mut jobs = Vec::new();
     for entry in &entries {

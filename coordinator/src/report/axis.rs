@@ -6,14 +6,14 @@ const TRIM: f64 = 0.005;
 
 /// A finite interval of values of positive length.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Axis {
-    pub(super) lo: f64,
-    pub(super) hi: f64,
+pub(crate) struct Axis {
+    pub(crate) lo: f64,
+    pub(crate) hi: f64,
 }
 
 impl Axis {
     /// From the 0.5% to the 99.5% quantile; `None` without values.
-    pub(super) fn trimmed(values: impl Iterator<Item = f64>) -> Option<Self> {
+    pub(crate) fn trimmed(values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut sorted: Vec<f64> = values.filter(|value| value.is_finite()).collect();
         sorted.sort_by(f64::total_cmp);
         let last = sorted.len().checked_sub(1)?;
@@ -24,7 +24,7 @@ impl Axis {
     }
 
     /// From `lo` to `hi`, widened where they are equal or too far apart to subtract.
-    pub(super) fn spanning(lo: f64, hi: f64) -> Self {
+    pub(crate) fn spanning(lo: f64, hi: f64) -> Self {
         // Half of the largest float: the length of the interval stays finite.
         const REACH: f64 = f64::MAX / 4.0;
         let (lo, hi) = (lo.clamp(-REACH, REACH), hi.clamp(-REACH, REACH));
@@ -61,7 +61,7 @@ impl Axis {
     }
 
     /// Wider by `share` of the length at each end.
-    pub(super) fn padded(self, share: f64) -> Self {
+    pub(crate) fn padded(self, share: f64) -> Self {
         let pad = (self.hi - self.lo) * share;
         Self {
             lo: self.lo - pad,
@@ -70,17 +70,17 @@ impl Axis {
     }
 
     /// Position in [0, 1]; values beyond the ends stand at them.
-    pub(super) fn position(self, value: f64) -> f64 {
+    pub(crate) fn position(self, value: f64) -> f64 {
         ((value - self.lo) / (self.hi - self.lo)).clamp(0.0, 1.0)
     }
 
     /// Whether the value stands at its true place.
-    pub(super) fn holds(self, value: f64) -> bool {
+    pub(crate) fn holds(self, value: f64) -> bool {
         (self.lo..=self.hi).contains(&value)
     }
 
     /// The bin of `value` among `bins` equal ones.
-    pub(super) fn bin(self, value: f64, bins: usize) -> usize {
+    pub(crate) fn bin(self, value: f64, bins: usize) -> usize {
         let last = bins.saturating_sub(1);
         (floor_index(self.position(value) * as_float(bins))).min(last)
     }
@@ -92,7 +92,7 @@ fn place(quantile: f64, last: usize) -> usize {
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts of marks on a page")]
-pub(super) fn as_float(count: usize) -> f64 {
+pub(crate) fn as_float(count: usize) -> f64 {
     count as f64
 }
 
@@ -106,7 +106,7 @@ fn floor_index(value: f64) -> usize {
 }
 
 /// The middle of sorted values; `None` without any.
-pub(super) fn median(sorted: &[f64]) -> Option<f64> {
+pub(crate) fn median(sorted: &[f64]) -> Option<f64> {
     let half = sorted.len() / 2;
     let upper = *sorted.get(half)?;
     if sorted.len() % 2 == 1 {

@@ -2,16 +2,18 @@
 //!
 //! A colour here is a name ([`Ink`]). Plotters gets a number that stands for it, and in the finished SVG
 //! each number becomes the style sheet's variable, so that one drawing serves light and dark. Numbers
-//! stand at the axes; names of groups and videos never enter a drawing: keys are HTML beside it. A
-//! chart that cannot be drawn is left out, since a report never fails.
+//! stand at the axes; names of groups and videos never enter a drawing (keys are HTML beside it), names of
+//! settings do where they are safe to draw. A chart that cannot be drawn is left out, since a report never fails.
 
 mod bars;
 mod frames;
+mod fronts;
 mod histogram;
 mod scatter;
 
 pub(super) use bars::{Bar, bars};
 pub(super) use frames::{FrameLine, FramePanel, Size, frames};
+pub(crate) use fronts::fronts;
 pub(super) use histogram::{Histogram, Outline, histogram};
 pub(super) use scatter::{Point, marker, scatter};
 

@@ -61,6 +61,8 @@ fn blank(video: &str) -> Row {
         reward: None,
         recipe: "balanced".to_owned(),
         profile_digest: "5f3a9c1e7b".repeat(6),
+        rung: None,
+        flip_probability: None,
     }
 }
 
@@ -168,6 +170,7 @@ pub(crate) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
         }),
         conditioning_frames: Some(1),
         fault_calibration: None,
+        cascade: None,
         statistics: CorpusStatistics {
             degenerate: false,
             uncertain_decisions: None,

@@ -8,9 +8,10 @@
 //! corpus: tables, points, series and pictures are capped, and each cap says so on the page. Rendering
 //! cannot fail; equal input gives equal bytes. Pixel figures are pixels of a 256-px-high picture.
 
-mod axis;
+pub(crate) mod axis;
 pub mod beside;
-mod chart;
+mod cascade;
+pub(crate) mod chart;
 mod clip;
 mod data;
 mod distribution;
@@ -21,7 +22,7 @@ mod faults;
 mod measures;
 mod motion;
 mod overview;
-mod page;
+pub(crate) mod page;
 pub mod player;
 mod provenance;
 mod ranking;
@@ -29,7 +30,7 @@ mod spreads;
 pub mod state;
 mod statuses;
 mod table;
-mod text;
+pub(crate) mod text;
 
 #[cfg(test)]
 pub(crate) mod fixture;
@@ -49,6 +50,9 @@ use beside::BesideReport;
 
 /// Videos shown at each end of the ranking unless the caller says otherwise.
 pub const DEFAULT_RANKED: usize = 12;
+
+/// What the report is about, before the source's name.
+const SCORES_OF: &str = "Physical consistency of";
 
 /// Everything the report is made of.
 pub struct ReportInput<'a> {
@@ -120,6 +124,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
     let listed = data::listed(input.rows);
     let sections = [
         overview::section(input),
+        cascade::section(input),
         ranking::worst(input, &judged),
         table::section(input, &listed),
         faults::section(input.rows),
@@ -133,7 +138,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
         provenance::section(input),
     ];
     let data = (!listed.is_empty()).then(|| data::block(input, &listed));
-    page::assemble(input.title, sections, data.as_deref())
+    page::assemble(SCORES_OF, input.title, sections, data.as_deref())
 }
 
 /// The report with the section that says how scores and judgements agree, in place of an earlier one;
@@ -142,7 +147,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
 pub fn with_evaluation(report: Option<&str>, evaluation: &Evaluation) -> String {
     let added = report.and_then(|report| evaluation::added_to(report, evaluation));
     added.unwrap_or_else(|| {
-        let bare = page::assemble(&evaluation.scores, [], None);
+        let bare = page::assemble(SCORES_OF, &evaluation.scores, [], None);
         evaluation::added_to(&bare, evaluation).unwrap_or(bare)
     })
 }

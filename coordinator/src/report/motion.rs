@@ -2,11 +2,12 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::axis::{Axis, as_float};
+use super::axis::Axis;
 use super::chart::{Point, marker, scatter};
 use super::facet::{COLOURED, Facet};
 use super::page::Section;
 use super::{Judged, text};
+use crate::agreement::spearman;
 
 /// Points drawn; beyond, every k-th by rank, so that the cloud keeps its shape.
 const POINTS: usize = 2_000;
@@ -97,55 +98,5 @@ fn legend(groups: &Facet<'_>) -> Markup {
             }
             @if rest > 0 { li { (key(COLOURED)) (text::length(rest)) " more" } }
         }
-    }
-}
-
-/// Spearman's ρ: Pearson's correlation of average ranks. `None` where either side has no spread.
-fn spearman(pairs: &[(f64, f64)]) -> Option<f64> {
-    let x = ranks(pairs.iter().map(|pair| pair.0));
-    let y = ranks(pairs.iter().map(|pair| pair.1));
-    let mean = (as_float(pairs.len()) + 1.0) / 2.0;
-    let (mut xy, mut xx, mut yy) = (0.0, 0.0, 0.0);
-    for (x, y) in x.iter().zip(&y) {
-        xy += (x - mean) * (y - mean);
-        xx += (x - mean) * (x - mean);
-        yy += (y - mean) * (y - mean);
-    }
-    (xx > 0.0 && yy > 0.0).then(|| xy / (xx.sqrt() * yy.sqrt()))
-}
-
-/// Ranks from 1; equal values share the mean of theirs.
-fn ranks(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut sorted: Vec<(f64, usize)> = values.enumerate().map(|(i, value)| (value, i)).collect();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut ranks = vec![0.0; sorted.len()];
-    let mut before = 0;
-    for tie in sorted.chunk_by(|a, b| a.0 == b.0) {
-        let rank = as_float(before) + (as_float(tie.len()) + 1.0) / 2.0;
-        for (_, index) in tie {
-            if let Some(slot) = ranks.get_mut(*index) {
-                *slot = rank;
-            }
-        }
-        before += tie.len();
-    }
-    ranks
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn spearman_of_known_sequences() {
-        let up: Vec<_> = (0..10).map(|i| (f64::from(i), f64::from(i * i))).collect();
-        assert_eq!(spearman(&up), Some(1.0));
-        let down: Vec<_> = up.iter().map(|(x, y)| (*x, -y)).collect();
-        assert_eq!(spearman(&down), Some(-1.0));
-        assert_eq!(spearman(&[(1.0, 2.0), (1.0, 3.0)]), None);
-        // Ranks (1, 2.5, 2.5, 4) against (1, 3, 2, 4): 4.5 / √(4.5 · 5).
-        let tied = [(0.0, 0.0), (1.0, 5.0), (1.0, 4.0), (2.0, 9.0)];
-        let rho = spearman(&tied).unwrap();
-        assert!((rho - 4.5 / (4.5_f64 * 5.0).sqrt()).abs() < 1e-15);
     }
 }

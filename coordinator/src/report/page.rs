@@ -15,17 +15,18 @@ const SCRIPT: &str = include_str!("script.js");
 const TAB_CHARS: usize = 120;
 
 /// A part of the page.
-pub(super) struct Section {
+pub(crate) struct Section {
     /// Anchor.
-    pub(super) id: &'static str,
+    pub(crate) id: &'static str,
     /// Heading, and entry in the contents.
-    pub(super) title: &'static str,
+    pub(crate) title: &'static str,
     /// What stands under the heading; the section is left out where there is nothing.
-    pub(super) body: Option<Markup>,
+    pub(crate) body: Option<Markup>,
 }
 
-/// The whole page; `data` is what its script reads.
-pub(super) fn assemble<const N: usize>(
+/// The whole page, under a heading about what `title` names; `data` is what its script reads.
+pub(crate) fn assemble<const N: usize>(
+    about: &str,
     title: &str,
     sections: [Section; N],
     data: Option<&str>,
@@ -55,7 +56,7 @@ pub(super) fn assemble<const N: usize>(
             body {
                 header.top {
                     p.brand { "Plumbline" }
-                    h1 { "Physical consistency of " (text::name(title)) }
+                    h1 { (about) " " (text::name(title)) }
                     nav aria-label="Contents" {
                         @for (section, _) in present.iter().skip(1) {
                             a href={ "#" (section.id) } { (section.title) }

@@ -117,6 +117,8 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
                 (fact("z detail", text::signed(row.z_detail_change_q25)))
                 (fact("motion, px", text::magnitude(measured.motion_px)))
                 (fact("paper’s peak", peak))
+                @if let Some(rung) = &row.rung { (fact("measured at", text::plain_name(rung, 30))) }
+                @if row.flip_probability.is_some() { (fact("flip probability", text::fixed(row.flip_probability, 3))) }
             }
             @if let Some(faults) = faults::told(measured, FAULTS) { p.faults { b { "Faults " } (faults) } }
             @if let Some(file) = input.heat_maps.get(&row.video) {

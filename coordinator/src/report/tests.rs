@@ -32,6 +32,7 @@ fn page_beside(
         },
         attempts: 2,
         worker: "w".to_owned(),
+        rung: None,
     }]);
     render(&ReportInput {
         title,

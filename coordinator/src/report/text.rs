@@ -6,10 +6,10 @@
 use maud::{Markup, html};
 
 /// What stands where a value is missing.
-pub(super) const MISSING: &str = "–";
+pub(crate) const MISSING: &str = "–";
 
 /// A z-score or anomaly: signed, two decimals.
-pub(super) fn signed(value: Option<f64>) -> String {
+pub(crate) fn signed(value: Option<f64>) -> String {
     finite(value).map_or_else(
         || MISSING.to_owned(),
         |value| {
@@ -26,7 +26,7 @@ pub(super) fn signed(value: Option<f64>) -> String {
 }
 
 /// A magnitude, about three significant digits.
-pub(super) fn magnitude(value: Option<f64>) -> String {
+pub(crate) fn magnitude(value: Option<f64>) -> String {
     finite(value).map_or_else(
         || MISSING.to_owned(),
         |value| match value.abs() {
@@ -40,17 +40,17 @@ pub(super) fn magnitude(value: Option<f64>) -> String {
 }
 
 /// A weight or a correlation: `decimals` decimals.
-pub(super) fn fixed(value: Option<f64>, decimals: usize) -> String {
+pub(crate) fn fixed(value: Option<f64>, decimals: usize) -> String {
     finite(value).map_or_else(|| MISSING.to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 /// A count that may be missing.
-pub(super) fn optional(value: Option<impl Into<u64>>) -> String {
+pub(crate) fn optional(value: Option<impl Into<u64>>) -> String {
     value.map_or_else(|| MISSING.to_owned(), |value| count(value.into()))
 }
 
 /// A count with thin thousands.
-pub(super) fn count(value: u64) -> String {
+pub(crate) fn count(value: u64) -> String {
     let digits = value.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
     for (index, digit) in digits.chars().enumerate() {
@@ -63,12 +63,12 @@ pub(super) fn count(value: u64) -> String {
 }
 
 /// A length as a count.
-pub(super) fn length(value: usize) -> String {
+pub(crate) fn length(value: usize) -> String {
     count(u64::try_from(value).unwrap_or(u64::MAX))
 }
 
 /// `1 video`, `2 videos`.
-pub(super) fn videos(value: u64) -> String {
+pub(crate) fn videos(value: u64) -> String {
     format!(
         "{} video{}",
         count(value),
@@ -77,7 +77,7 @@ pub(super) fn videos(value: u64) -> String {
 }
 
 /// Seconds as a person says them.
-pub(super) fn seconds(value: f64) -> String {
+pub(crate) fn seconds(value: f64) -> String {
     const MINUTE_S: f64 = 60.0;
     const HOUR_S: f64 = 3_600.0;
     if !value.is_finite() {
@@ -106,12 +106,12 @@ const TOOLTIP_CHARS: usize = 400;
 
 /// A name, isolated from the reading direction around it and read as a path, with its full form as
 /// a tooltip where it was shortened.
-pub(super) fn name(name: &str) -> Markup {
+pub(crate) fn name(name: &str) -> Markup {
     bounded(name, NAME_CHARS)
 }
 
 /// A name that fits a card's heading.
-pub(super) fn heading(name: &str) -> Markup {
+pub(crate) fn heading(name: &str) -> Markup {
     bounded(name, HEADING_CHARS)
 }
 
@@ -123,12 +123,12 @@ fn bounded(name: &str, chars: usize) -> Markup {
 }
 
 /// The name as plain text, shortened to `chars`.
-pub(super) fn plain_name(name: &str, chars: usize) -> String {
+pub(crate) fn plain_name(name: &str, chars: usize) -> String {
     shortened(&visible(name), chars)
 }
 
 /// The group's name, or what stands for none.
-pub(super) fn group(group: Option<&str>) -> Markup {
+pub(crate) fn group(group: Option<&str>) -> Markup {
     match group {
         Some(group) => name(group),
         None => html! { span.quiet { "no group" } },
@@ -136,7 +136,7 @@ pub(super) fn group(group: Option<&str>) -> Markup {
 }
 
 /// Spells out characters that do not show or that turn the reading direction.
-pub(super) fn visible(text: &str) -> String {
+pub(crate) fn visible(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for character in text.chars() {
         match character {

@@ -104,6 +104,9 @@ pub enum RunError {
         /// Videos in the corpus.
         total: usize,
     },
+    /// A cascade asks for a rung that there is none of, which only a defect of the program explains.
+    #[error("the cascade asks for a profile beyond its ladder; this is a defect to report")]
+    Ladder,
     /// Reducing or publishing broke down.
     #[error(
         "the reduce broke down ({0}); what was measured is kept, and this is a defect to report"

@@ -28,7 +28,7 @@ use crate::progress::say;
 use crate::reduce::reference::Reference;
 use crate::reduce::score_final;
 use crate::run::{
-    Finished, RunError, ScoreOptions, Workplace, finish, measured_video, write_frozen,
+    Finished, Journals, RunError, ScoreOptions, Workplace, finish, measured_video, write_frozen,
 };
 use crate::stop::StopSignals;
 use arrivals::Arrivals;
@@ -92,15 +92,16 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
     }
     write_frozen(&workplace.state, &entries)?;
     let (done, total) = (journal.len(), entries.len());
-    let (reduced, files) = tokio::select! {
-        finished = finish(options, Arc::new(entries), journal, workplace.out.clone()) => finished?,
+    let published = tokio::select! {
+        finished = finish(options, Arc::new(entries), Journals::Plain(journal), workplace.out.clone()) => finished?,
         () = stop.recv() => return Err(RunError::Interrupted { done, total }),
     };
     Ok(Finished {
         out: options.out.clone(),
         run: None,
-        files,
-        reduced,
+        files: published.files,
+        reduced: published.reduced,
+        cascade: published.cascade,
         measured_now,
         elapsed_s: started.elapsed().as_secs_f64(),
         compute_s,
@@ -109,13 +110,12 @@ pub async fn watch(options: &ScoreOptions, watch: &WatchOptions) -> Result<Finis
 
 /// What the sources hold now; nothing yet is no error.
 async fn listing(options: &ScoreOptions) -> Result<Vec<Entry>, RunError> {
-    let (sources, group_by, out) = (
+    let (sources, choice, out) = (
         options.sources.clone(),
-        options.group_by.clone(),
+        options.choice.clone(),
         options.out.clone(),
     );
-    let looking =
-        tokio::task::spawn_blocking(move || corpus::freeze(&sources, group_by.as_ref(), &out));
+    let looking = tokio::task::spawn_blocking(move || corpus::freeze(&sources, &choice, &out));
     match looking.await.map_err(RunError::Finishing)? {
         Ok(listing) => Ok(listing.entries),
         Err(CorpusError::Empty { .. }) => Ok(Vec::new()),

@@ -23,6 +23,7 @@ use tokio::runtime::Runtime;
 
 use crate::check::{self, Prefetches};
 use crate::fault::{Fault, JOBS, Tamperer, unique};
+use crate::hang::{self, Progress};
 use crate::journal::Journal;
 use crate::setup::{
     CORPUS, Ways, address, embedded_command, log, put_corpus, score_command, start_worker,
@@ -43,8 +44,12 @@ const CHILD_KILL_GAP: Duration = Duration::from_millis(1500);
 /// Faults within one run, after which it is left to finish.
 const FAULTS_PER_RUN: u64 = 60;
 
-/// A run of a few tens of seconds that is not done by then hangs.
-const RUN_DEADLINE: Duration = Duration::from_secs(600);
+/// A fleet that answers nothing for so long hangs: a broker that starts again on a busy machine, with the
+/// waits of those who look for it, or a store's attempt that meets silence, take a minute or so.
+const SILENCE: Duration = Duration::from_secs(180);
+
+/// A run of a few tens of seconds that is not done by then goes round in circles.
+const RUN_DEADLINE: Duration = Duration::from_secs(1200);
 
 /// A queue that the broker is killed over within a second of its declaration may be unusable afterwards
 /// (the broker's own defect, see the design of the queues).
@@ -105,6 +110,7 @@ struct Campaign {
     orphans: Vec<Process>,
     child_killed_at: Instant,
     prefetches: Prefetches,
+    progress: Progress,
     journal: Journal,
 }
 
@@ -154,6 +160,7 @@ impl Campaign {
             orphans: Vec::new(),
             child_killed_at: Instant::now(),
             prefetches: Prefetches::watch(),
+            progress: Progress::new(),
             runtime,
             place,
             marker,
@@ -199,12 +206,7 @@ impl Campaign {
             if let Some(code) = self.keep_running(&mut coordinator) {
                 break code;
             }
-            assert!(
-                started.elapsed() < RUN_DEADLINE,
-                "run {number} hangs\n{}\n{}",
-                self.journal.summary(),
-                self.last_words(&coordinator)
-            );
+            self.fail_if_it_hangs(&format!("run {number}"), started, &coordinator);
             let in_run = self.journal.faults() - faults_before;
             if in_run < FAULTS_PER_RUN
                 && self.journal.faults() < wanted
@@ -212,10 +214,10 @@ impl Campaign {
             {
                 let fault = self.draw();
                 match self.inject(fault, &run, &mut coordinator, started) {
-                    Some(detail) => self.journal.fault(&format!("{fault:?}"), &detail),
+                    Ok(detail) => self.journal.fault(&format!("{fault:?}"), &detail),
                     // Not to be done now: later.
-                    None => {
-                        self.journal.note("not now", &format!("{fault:?}"));
+                    Err(why) => {
+                        self.journal.not_now(&format!("{fault:?}"), why);
                         self.deck.push(fault);
                     }
                 }
@@ -226,7 +228,7 @@ impl Campaign {
         };
         self.wait_for_broker();
         let code = self.retry_dead(&run, &name, code, &out, number);
-        assert_eq!(code, self.reference_code, "{}", coordinator.last_words());
+        assert_eq!(code, self.reference_code, "{}", coordinator.last_words(30));
         self.check_published(in_store, &out, number);
         self.check_left_behind(&run);
         self.journal.note(
@@ -248,7 +250,7 @@ impl Campaign {
                 assert!(
                     ended.is_none() || noted.exists(),
                     "{ended:?}: {}",
-                    coordinator.last_words()
+                    coordinator.last_words(30)
                 );
                 let run = std::fs::read_to_string(&noted).unwrap_or_default();
                 let digest = run.trim_end().strip_prefix(&format!("{name}-"));
@@ -277,7 +279,12 @@ impl Campaign {
         for worker in &mut self.workers {
             if let Some(status) = worker.ended() {
                 // Giving up after its last attempt is a worker's right; nothing else ends it.
-                assert_eq!(status.code(), Some(1), "{status}\n{}", worker.last_words());
+                assert_eq!(
+                    status.code(),
+                    Some(1),
+                    "{status}\n{}",
+                    worker.last_words(30)
+                );
                 self.journal.note("a worker gave up", &status.to_string());
                 worker.restart();
             }
@@ -287,27 +294,29 @@ impl Campaign {
             Some(code @ (0 | 3)) => Some(code),
             // Stopped before the end, or refused while the broker still holds the lease of a dead one.
             Some(1 | 2) => {
-                let words = coordinator.last_words();
+                let words = coordinator.last_words(30);
                 let last = words.lines().last().unwrap_or_default();
                 self.journal.note("the coordinator stopped", last);
                 sleep(Duration::from_millis(500));
                 coordinator.restart();
                 None
             }
-            _ => panic!("{status}\n{}", coordinator.last_words()),
+            _ => panic!("{status}\n{}", coordinator.last_words(30)),
         }
     }
 
-    /// Does it; what was hit, or `None` where it cannot be done now.
+    /// Does it; what was hit, or why it cannot be done now.
     fn inject(
         &mut self,
         fault: Fault,
         run: &RunId,
         coordinator: &mut Daemon,
         started: Instant,
-    ) -> Option<String> {
+    ) -> Result<String, &'static str> {
+        const NO_MESSAGE: &str = "no message to tamper with";
+        const NO_CONNECTION: &str = "no connection is open";
         if fault.needs_broker() && self.broker_is_away() {
-            return None;
+            return Err("the broker is away");
         }
         let victim = self.below(WORKERS as u64) as usize;
         // Ways of all workers, and the coordinator's.
@@ -320,25 +329,26 @@ impl Campaign {
                 worker.kill();
                 self.orphans.extend(children);
                 worker.restart();
-                Some(detail)
+                Ok(detail)
             }
             Fault::KillChild => {
                 if self.child_killed_at.elapsed() < CHILD_KILL_GAP {
-                    return None;
+                    return Err("another was killed a moment ago");
                 }
-                let child = self.workers[victim].children().first().copied()?;
+                let children = self.workers[victim].children();
+                let child = children.first().ok_or("the worker has none")?;
                 child.kill();
                 self.child_killed_at = Instant::now();
-                Some(format!("of worker-{victim}, process {}", child.pid))
+                Ok(format!("of worker-{victim}, process {}", child.pid))
             }
             Fault::KillCoordinator => {
                 coordinator.kill();
                 coordinator.restart();
-                Some(run.to_string())
+                Ok(run.to_string())
             }
             Fault::KillBroker => {
                 if started.elapsed() < YOUNG_QUEUE {
-                    return None;
+                    return Err("the results queue is too young");
                 }
                 let away = Duration::from_millis(self.below(1500));
                 Server::Broker.kill();
@@ -346,36 +356,48 @@ impl Campaign {
                     sleep(away);
                     Server::Broker.start();
                 }));
-                Some("started again at once".to_owned())
+                Ok("started again at once".to_owned())
             }
             Fault::KillStore => {
                 Server::Store.kill();
                 sleep(Duration::from_millis(self.below(1500)));
                 Server::Store.start();
-                Some("started again".to_owned())
+                Ok("started again".to_owned())
             }
-            Fault::CloseAmqp => self.break_amqp(way, Break::Close),
-            Fault::ResetAmqp => self.break_amqp(way, Break::Reset),
-            Fault::HalfOpenAmqp => self.break_amqp(way, Break::HalfOpen),
+            Fault::CloseAmqp => self.break_amqp(way, Break::Close).ok_or(NO_CONNECTION),
+            Fault::ResetAmqp => self.break_amqp(way, Break::Reset).ok_or(NO_CONNECTION),
+            Fault::HalfOpenAmqp => self.break_amqp(way, Break::HalfOpen).ok_or(NO_CONNECTION),
             Fault::DelayAmqp => {
                 let wait = Duration::from_millis(20 + self.below(200));
-                self.slow_down(way, Pace::Delayed(wait), |ways| &ways.amqp)
+                Ok(self.slow_down(way, Pace::Delayed(wait), |ways| &ways.amqp))
             }
-            Fault::ThrottleAmqp => self.slow_down(way, Pace::Throttled(20_000), |ways| &ways.amqp),
-            Fault::CloseS3 => self.break_s3(way, Break::Close),
-            Fault::ResetS3 => self.break_s3(way, Break::Reset),
-            Fault::HalfOpenS3 => self.break_s3(way, Break::HalfOpen),
+            Fault::ThrottleAmqp => {
+                Ok(self.slow_down(way, Pace::Throttled(20_000), |ways| &ways.amqp))
+            }
+            Fault::CloseS3 => self.break_s3(way, Break::Close).ok_or(NO_CONNECTION),
+            Fault::ResetS3 => self.break_s3(way, Break::Reset).ok_or(NO_CONNECTION),
+            Fault::HalfOpenS3 => self.break_s3(way, Break::HalfOpen).ok_or(NO_CONNECTION),
             Fault::DelayS3 => {
                 let wait = Duration::from_millis(20 + self.below(200));
-                self.slow_down(way, Pace::Delayed(wait), |ways| &ways.s3)
+                Ok(self.slow_down(way, Pace::Delayed(wait), |ways| &ways.s3))
             }
-            Fault::DuplicateJob => self.runtime.block_on(self.tamperer.duplicate(&JOBS)),
-            Fault::DropJob => self.runtime.block_on(self.tamperer.drop_job()),
+            Fault::DuplicateJob => {
+                let duplicated = self.runtime.block_on(self.tamperer.duplicate(&JOBS));
+                duplicated.ok_or(NO_MESSAGE)
+            }
+            Fault::DropJob => {
+                let dropped = self.runtime.block_on(self.tamperer.drop_job());
+                dropped.ok_or(NO_MESSAGE)
+            }
             Fault::DuplicateResult => {
                 let results = Queue::Results(run.clone());
-                self.runtime.block_on(self.tamperer.duplicate(&results))
+                let duplicated = self.runtime.block_on(self.tamperer.duplicate(&results));
+                duplicated.ok_or(NO_MESSAGE)
             }
-            Fault::Poison(poison) => self.runtime.block_on(self.tamperer.poison(run, poison)),
+            Fault::Poison(poison) => {
+                let poisoned = self.runtime.block_on(self.tamperer.poison(run, poison));
+                poisoned.ok_or("nothing to make it of, or the run is over")
+            }
         }
     }
 
@@ -411,13 +433,13 @@ impl Campaign {
         way: usize,
         pace: Pace,
         which: impl Fn(&Ways) -> &plumbline_tests::proxy::Proxy,
-    ) -> Option<String> {
+    ) -> String {
         let lasts = Duration::from_millis(300 + self.below(1200));
         let (whose, ways) = self.ways(way);
         which(ways).set_pace(pace);
         sleep(lasts);
         which(ways).set_pace(Pace::Free);
-        Some(format!("{pace:?} for {lasts:?}, {whose}"))
+        format!("{pace:?} for {lasts:?}, {whose}")
     }
 
     fn broker_is_away(&mut self) -> bool {
@@ -456,11 +478,7 @@ impl Campaign {
             if let Some(code) = self.keep_running(&mut coordinator) {
                 return code;
             }
-            assert!(
-                again.elapsed() < RUN_DEADLINE,
-                "{}",
-                coordinator.last_words()
-            );
+            self.fail_if_it_hangs("a retry", again, &coordinator);
             sleep(Duration::from_millis(20));
         }
     }
@@ -486,17 +504,31 @@ impl Campaign {
         });
     }
 
-    fn last_words(&self, coordinator: &Daemon) -> String {
-        let workers = self.workers.iter().map(Daemon::last_words);
-        let all: Vec<String> = workers.chain([coordinator.last_words()]).collect();
-        all.join("\n")
+    /// Fails where nobody answers any more, or without end, and says in what state everything is: the
+    /// first lines of that are all that some logs keep.
+    fn fail_if_it_hangs(&mut self, what: &str, started: Instant, coordinator: &Daemon) {
+        let logs = (0..WORKERS).map(|index| log(&self.place, &format!("worker-{index}")));
+        let quiet = self.progress.quiet(logs, started);
+        if quiet < SILENCE && started.elapsed() < RUN_DEADLINE {
+            return;
+        }
+        let workers: Vec<String> = self.workers.iter().map(|w| w.last_words(5)).collect();
+        panic!(
+            "{what} hangs: no answer for {:.0} s, begun {:.0} s ago\n{}\n{}{}\n{}",
+            quiet.as_secs_f64(),
+            started.elapsed().as_secs_f64(),
+            coordinator.last_words(8),
+            hang::broker_state(),
+            workers.join("\n"),
+            self.journal.summary(),
+        );
     }
 
     fn end(mut self, runs: u64) {
         for worker in &mut self.workers {
             let status = worker.terminate(PATIENCE);
             let code = status.and_then(|status| status.code());
-            assert_eq!(code, Some(0), "drained\n{}", worker.last_words());
+            assert_eq!(code, Some(0), "drained\n{}", worker.last_words(30));
         }
         let marker = &self.marker;
         wait_until("no process is left", PATIENCE, || {

@@ -13,6 +13,8 @@ pub(crate) struct Journal {
     path: PathBuf,
     faults: BTreeMap<String, u64>,
     notes: BTreeMap<String, u64>,
+    /// Since the last fault: what could not be done, and why.
+    not_now: BTreeMap<String, u64>,
 }
 
 impl Journal {
@@ -23,13 +25,22 @@ impl Journal {
             path,
             faults: BTreeMap::new(),
             notes: BTreeMap::new(),
+            not_now: BTreeMap::new(),
         }
     }
 
     /// A fault that was injected.
     pub(crate) fn fault(&mut self, kind: &str, detail: &str) {
         *self.faults.entry(kind.to_owned()).or_default() += 1;
+        self.not_now.clear();
         self.line("fault", kind, detail);
+    }
+
+    /// A fault that could not be injected, and why.
+    pub(crate) fn not_now(&mut self, kind: &str, why: &str) {
+        let line = format!("{kind}: {why}");
+        self.note("not now", &line);
+        *self.not_now.entry(line).or_default() += 1;
     }
 
     /// Anything else worth counting.
@@ -59,10 +70,11 @@ impl Journal {
             lines.collect()
         };
         format!(
-            "{} faults in {:.0} s ({})\n{}of note:\n{}",
+            "{} faults in {:.0} s ({})\nnot now, since the last:\n{}done:\n{}of note:\n{}",
             self.faults(),
             self.elapsed_s(),
             self.path.display(),
+            lines(&self.not_now),
             lines(&self.faults),
             lines(&self.notes),
         )

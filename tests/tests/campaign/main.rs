@@ -3,7 +3,7 @@
 //! `campaign`: seeded faults of all kinds over many runs of one corpus; nothing lost, nothing twice, the
 //! same bytes as undisturbed. `prefetch`: no consumer ever holds more than its slots, through a restart of
 //! the broker. `setup`: the corpus, the programs and what stands between them; `fault`: what goes wrong;
-//! `check`: what must be so afterwards; `journal`: what was done, and when.
+//! `check`: what must be so afterwards; `hang`: whether it still moves; `journal`: what was done, and when.
 
 #![allow(
     clippy::unwrap_used,
@@ -16,6 +16,7 @@
 mod campaign;
 mod check;
 mod fault;
+mod hang;
 mod journal;
 mod prefetch;
 mod setup;

@@ -64,13 +64,17 @@ fn slots_bound_what_a_worker_holds_before_and_after_a_restart_of_the_broker() {
             // Every row is static.
             Some(Some(0)) => break,
             Some(Some(1 | 2)) => coordinator.restart(),
-            Some(other) => panic!("{other:?}\n{}", coordinator.last_words()),
+            Some(other) => panic!("{other:?}\n{}", coordinator.last_words(30)),
             None => {}
         }
         for consumer in consumers(JOB_QUEUES).unwrap_or_default() {
             within_slots(&consumer);
         }
-        assert!(started.elapsed() < PATIENCE, "{}", coordinator.last_words());
+        assert!(
+            started.elapsed() < PATIENCE,
+            "{}",
+            coordinator.last_words(30)
+        );
         sleep(Duration::from_millis(200));
     }
     place.published("out").expect_rows(&videos);
@@ -80,7 +84,7 @@ fn slots_bound_what_a_worker_holds_before_and_after_a_restart_of_the_broker() {
             status.and_then(|s| s.code()),
             Some(0),
             "{}",
-            worker.last_words()
+            worker.last_words(30)
         );
     }
     wait_until("no process is left", PATIENCE, || {
@@ -101,7 +105,7 @@ fn full_slots(coordinator: &mut Daemon) -> Vec<JobConsumer> {
         assert!(
             coordinator.ended().is_none() && started.elapsed() < PATIENCE,
             "{now:?}\n{}",
-            coordinator.last_words()
+            coordinator.last_words(30)
         );
     }
 }

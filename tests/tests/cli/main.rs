@@ -2,8 +2,10 @@
 //!
 //! `main_path` and `sources`: what a user gets. `resume`: kills, signals, repeats, the same bytes.
 //! `faults`: known faults in the published rows. `frozen`: frozen references and watches. `evaluate`,
-//! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`: the commands and flags of these names.
-//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers.
+//! `explain`, `flow`, `heatmaps`, `judge`, `reference`, `slam`, `tradeoff`: the commands and flags of these names.
+//! `learned`: the profile `reference` and SEA-RAFT's flow, over models of random weights. `cascade`: budgets.
+//! `outlier`: one clip that moves the weights. `trainer_lists`: episodes and shards for trainers. `datasets`: the
+//! same as sources.
 //! `hostile`: bad videos and bad names. `system`: permissions, full disks, lost and limited compute
 //! processes. `paper`: the published numbers, recomputed by hand.
 
@@ -15,6 +17,8 @@
     reason = "a test fails by panicking, and says what it could not try"
 )]
 
+mod cascade;
+mod datasets;
 mod evaluate;
 mod explain;
 mod faults;
@@ -23,6 +27,7 @@ mod frozen;
 mod heatmaps;
 mod hostile;
 mod judge;
+mod learned;
 mod main_path;
 mod outlier;
 mod paper;
@@ -33,4 +38,5 @@ mod resume;
 mod slam;
 mod sources;
 mod system;
+mod tradeoff;
 mod trainer_lists;

@@ -329,9 +329,9 @@ fn a_memory_limit_costs_rows_and_not_the_run() {
         .expect_line(&["static: large.mp4"]);
 }
 
-/// What decodes hostile bytes knows no password.
+/// What decodes hostile bytes knows no password, and the kernel filters its calls.
 #[test]
-fn compute_processes_are_given_no_secrets() {
+fn compute_processes_are_given_no_secrets_and_no_way_out() {
     let place = Place::new();
     clips::write_long(&place.video("long.mp4"), 0);
     let mut command = place.score(&["videos", "--out", "out"]);
@@ -341,15 +341,26 @@ fn compute_processes_are_given_no_secrets() {
         .env("JUDGE_API_KEY", "hush")
         .env("HARMLESS", "known");
     let run = Started::start(&mut command);
-    let mut environment = Vec::new();
+    let (mut environment, mut status) = (Vec::new(), Vec::new());
     wait_until("a compute child", PATIENCE, || {
         let child = children_of(run.pid()).first().copied();
         let at_work = child.filter(|child| child.has_worked());
-        environment = at_work
-            .and_then(|child| std::fs::read(format!("/proc/{}/environ", child.pid)).ok())
-            .unwrap_or_default();
-        !environment.is_empty()
+        let shown = |what| {
+            at_work
+                .and_then(|child| std::fs::read(format!("/proc/{}/{what}", child.pid)).ok())
+                .unwrap_or_default()
+        };
+        (environment, status) = (shown("environ"), shown("status"));
+        !environment.is_empty() && !status.is_empty()
     });
+    let status = String::from_utf8_lossy(&status);
+    assert!(status.contains("NoNewPrivs:\t1\n"), "{status}");
+    if Path::new("/proc/sys/kernel/seccomp").exists() {
+        // 2: by a filter of its own.
+        assert!(status.contains("Seccomp:\t2\n"), "{status}");
+    } else {
+        eprintln!("skipped: this kernel filters no calls");
+    }
     let environment = String::from_utf8_lossy(&environment);
     assert!(environment.contains("HARMLESS=known"), "{environment}");
     assert!(!environment.contains("hush"), "{environment}");

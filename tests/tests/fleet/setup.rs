@@ -111,7 +111,11 @@ impl Fleet {
 
     /// A worker with one slot.
     pub(crate) fn worker(&self, name: &str, words: &[&str]) -> Daemon {
-        let mut command = self.command(worker());
+        self.worker_of(self.command(worker()), name, words)
+    }
+
+    /// The same of a command that has more set.
+    pub(crate) fn worker_of(&self, mut command: Command, name: &str, words: &[&str]) -> Daemon {
         let scratch = self.place.path(&format!("scratch-{name}"));
         command.args(["--name", name, "--slots", "1", "--grace", "5"]);
         command.arg("--scratch").arg(scratch).args(words);

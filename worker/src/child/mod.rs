@@ -3,14 +3,16 @@
 //!
 //! The same binary runs again with [`CHILD_ARGUMENT`]; parent and child speak frames
 //! (`plumbline_common::frame`) over the child's standard input and output. The child limits its own
-//! memory, writes no file and ends as soon as its input closes, which also happens when the parent
-//! is killed. The parent ends a child that passes its deadline.
+//! memory, gives up writing files and reaching the network (`sandbox`), and ends as soon as its input closes,
+//! which also happens when the parent is killed. The parent ends a child that passes its deadline.
 
 mod process;
 mod protocol;
+mod sandbox;
 mod slot;
 
 pub use process::run;
+pub use sandbox::{Protection, probe};
 pub(crate) use slot::MAX_ATTEMPTS;
 pub use slot::{ComputeLimits, ComputeSlot, Drawing, Measured, SlotError};
 

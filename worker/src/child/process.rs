@@ -13,8 +13,11 @@ use rustix::process::{Resource, Rlimit, setrlimit};
 use serde::Serialize;
 
 use super::protocol::{Ask, Drawn, Request};
+use super::sandbox;
 use crate::explain::{self, Picture};
-use crate::measure::{frames, measure_in_detail};
+use crate::learned::Loaded;
+use crate::measure::{Models, frames, measure_copy, measure_in_detail};
+use crate::profile::Profile;
 use crate::slam;
 
 /// Answers requests until standard input closes.
@@ -24,6 +27,8 @@ use crate::slam;
 /// sees the exit code and the message on standard error.
 pub fn run(memory_mib: u64) -> anyhow::Result<()> {
     limit_resources(memory_mib)?;
+    // Before any other thread is there. What this kernel does not offer, a worker says in its log.
+    let _protections = sandbox::confine();
     let (jobs, inbox) = mpsc::sync_channel(1);
     // A thread of its own watches the pipe, so that a child in the middle of a long video still
     // ends at once when its parent is gone.
@@ -37,21 +42,37 @@ pub fn run(memory_mib: u64) -> anyhow::Result<()> {
         std::process::exit(0);
     });
     let mut stdout = BufWriter::new(std::io::stdout().lock());
+    let mut loaded = Loaded::default();
     while let Ok(bytes) = inbox.recv() {
-        let Request { ask, copy } = message::decode(&bytes)?;
+        let Request { ask, copy, models } = message::decode(&bytes)?;
+        let places = models.as_ref();
+        let loaded = &mut loaded;
         let copy = copy.map(|path| PathBuf::from(OsString::from_vec(path.into_vec())));
         let copy = copy.as_deref();
         match ask {
             Ask::Measure(job) => {
-                send(&mut stdout, &measure_in_detail(&job, copy, None)?.outcome)?;
+                let mut models = Models { loaded, places };
+                send(&mut stdout, &measure_copy(&job, copy, &mut models)?)?;
             }
-            Ask::Detail(job) => send(&mut stdout, &measure_in_detail(&job, copy, None)?)?,
+            Ask::Detail(job) => {
+                let mut models = Models { loaded, places };
+                send(
+                    &mut stdout,
+                    &measure_in_detail(&job, copy, &mut models, None)?,
+                )?;
+            }
+            Ask::Load(profile) => {
+                let profile: Profile = serde_json::from_slice(&profile)?;
+                let refused = loaded.networks(&profile, places).err();
+                send(&mut stdout, &refused.map(|error| error.to_string()))?;
+            }
             Ask::Track(job) => send(&mut stdout, &slam::track(&job, copy)?)?,
             Ask::Frames(job) => send(&mut stdout, &frames::sample(&job, copy)?)?,
             Ask::Draw(job) => {
                 let mut hand_over =
                     |picture: Picture| Ok(send(&mut stdout, &Drawn::Picture(picture))?);
-                let missing = explain::draw(&job, copy, &mut hand_over)?;
+                let mut models = Models { loaded, places };
+                let missing = explain::draw(&job, copy, &mut models, &mut hand_over)?;
                 send(&mut stdout, &Drawn::End(missing))?;
             }
         }

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 
 use crate::explain::{DrawJob, Picture};
+use crate::learned::ModelPlaces;
 use crate::measure::frames::FramesJob;
 
 /// What a child is asked for, and where it finds the bytes.
@@ -19,6 +20,8 @@ pub(super) struct Request {
     pub(super) ask: Ask,
     /// The copy of the job's object on this machine, the platform's path bytes.
     pub(super) copy: Option<ByteBuf>,
+    /// Where the networks are that the job's profile needs.
+    pub(super) models: Option<ModelPlaces>,
 }
 
 /// What a child is asked for.
@@ -34,6 +37,8 @@ pub(super) enum Ask {
     Draw(DrawJob),
     /// Some of its frames.
     Frames(FramesJob),
+    /// Whether the networks of a profile (in its canonical form) load: nothing, or why not.
+    Load(ByteBuf),
 }
 
 /// One message of the answer to [`Ask::Draw`].

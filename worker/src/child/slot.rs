@@ -47,6 +47,8 @@ fn is_withheld(name: &OsStr) -> bool {
 pub struct ComputeLimits {
     /// Wall time for one video, seconds.
     pub deadline_s: f64,
+    /// The same where the profile runs learned networks.
+    pub learned_deadline_s: f64,
     /// Address space of one compute child, MiB.
     pub memory_mib: u64,
 }
@@ -57,6 +59,8 @@ impl Default for ComputeLimits {
     fn default() -> Self {
         Self {
             deadline_s: 600.0,
+            // `reference` takes a minute or two for each frame.
+            learned_deadline_s: 14_400.0,
             memory_mib: 4096,
         }
     }
@@ -65,7 +69,15 @@ impl Default for ComputeLimits {
 impl ComputeLimits {
     /// The deadline; a time beyond all clocks is none.
     pub(crate) fn deadline(&self) -> Duration {
-        Duration::try_from_secs_f64(self.deadline_s).unwrap_or(Duration::MAX)
+        duration(self.deadline_s)
+    }
+
+    /// The deadline, seconds, of what was fetched.
+    fn deadline_of(&self, fetched: &Fetched) -> f64 {
+        match fetched.models {
+            Some(_) => self.learned_deadline_s,
+            None => self.deadline_s,
+        }
     }
 }
 
@@ -197,6 +209,21 @@ impl ComputeSlot {
         }
     }
 
+    /// Whether a child can run the networks of a profile: they are found, and loaded. `None`, or why not.
+    ///
+    /// # Errors
+    /// [`SlotError`], when no child can be started at all.
+    pub async fn load(&mut self, profile: &[u8]) -> Result<Option<String>, SlotError> {
+        let models = match self.fetcher.models(profile).await {
+            Ok(models) => models,
+            Err(error) => return Ok(Some(error.to_string())),
+        };
+        let fetched = Fetched::of_models(models);
+        let ask = Ask::Load(ByteBuf::from(profile.to_vec()));
+        let (answer, _attempts) = self.ask(ask, &fetched).await?;
+        Ok(answer.unwrap_or_else(Some))
+    }
+
     /// The same with what is behind the row.
     ///
     /// # Errors
@@ -272,7 +299,8 @@ impl ComputeSlot {
             Some(running) => running,
             None => self.spawn()?,
         };
-        match tokio::time::timeout(self.limits.deadline(), running.draw(&request, take)).await {
+        let deadline_s = self.limits.deadline_of(&fetched);
+        match tokio::time::timeout(duration(deadline_s), running.draw(&request, take)).await {
             Ok(Ok(drawing)) => {
                 // Whoever stopped taking left pictures in the pipe: that child is of no more use.
                 if drawing != Drawing::Stopped {
@@ -282,7 +310,7 @@ impl ComputeSlot {
             }
             Err(_elapsed) => {
                 self.children_lost += 1;
-                Ok(Drawing::Missing(self.too_slow()))
+                Ok(Drawing::Missing(too_slow(deadline_s)))
             }
             Ok(Err(broken)) => {
                 self.children_lost += 1;
@@ -302,20 +330,21 @@ impl ComputeSlot {
         fetched: &Fetched,
     ) -> Result<(Result<T, String>, u32), SlotError> {
         let request = encode(ask, fetched)?;
+        let deadline_s = self.limits.deadline_of(fetched);
         let mut reason = String::new();
         for attempts in 1..=MAX_ATTEMPTS {
             let mut running = match self.running.take() {
                 Some(running) => running,
                 None => self.spawn()?,
             };
-            match tokio::time::timeout(self.limits.deadline(), running.exchange(&request)).await {
+            match tokio::time::timeout(duration(deadline_s), running.exchange(&request)).await {
                 Ok(Ok(answer)) => {
                     self.running = Some(running);
                     return Ok((Ok(answer), attempts));
                 }
                 Err(_elapsed) => {
                     self.children_lost += 1;
-                    return Ok((Err(self.too_slow()), attempts));
+                    return Ok((Err(too_slow(deadline_s)), attempts));
                 }
                 Ok(Err(broken)) => {
                     self.children_lost += 1;
@@ -331,13 +360,6 @@ impl ComputeSlot {
         Ok((Err(reason), MAX_ATTEMPTS))
     }
 
-    fn too_slow(&self) -> String {
-        format!(
-            "not measured within {} s: shorten the clip or raise --deadline",
-            self.limits.deadline_s
-        )
-    }
-
     fn spawn(&self) -> Result<Running, SlotError> {
         let spawn_error = |source| SlotError::Spawn {
             program: self.program.clone(),
@@ -350,6 +372,10 @@ impl ComputeSlot {
             .env_clear()
             .envs(passed_on)
             .env("RUST_BACKTRACE", "0")
+            // It may not write a file, and ends where it tries: ONNX Runtime keeps a database of its own
+            // doings below these, and does without where there is no such directory.
+            .env("HOME", "/dev/null")
+            .env("XDG_CACHE_HOME", "/dev/null")
             .arg(CHILD_ARGUMENT)
             .arg(MEMORY_ARGUMENT)
             .arg(self.limits.memory_mib.to_string())
@@ -485,11 +511,20 @@ async fn tail_of(mut stderr: ChildStderr) -> Vec<u8> {
     tail
 }
 
+fn duration(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
+}
+
+fn too_slow(deadline_s: f64) -> String {
+    format!("not measured within {deadline_s} s: shorten the clip or raise --deadline")
+}
+
 fn encode(ask: Ask, fetched: &Fetched) -> Result<Vec<u8>, MessageError> {
     let path = fetched.path().map(|path| path.as_os_str().as_bytes());
     message::encode(&Request {
         ask,
         copy: path.map(|path| ByteBuf::from(path.to_vec())),
+        models: fetched.models.clone(),
     })
 }
 

@@ -6,9 +6,9 @@
 //! enumeration must not become a Rust `enum`.
 
 use std::ffi::{CStr, c_char, c_int};
-use std::io::Cursor;
+use std::io::{Read, Seek};
 use std::ptr;
-use std::sync::{Arc, Once};
+use std::sync::Once;
 
 use ffmpeg_next::format::context::{Input, StreamIo};
 use ffmpeg_next::format::stream::Stream;
@@ -44,9 +44,12 @@ unsafe extern "C" fn refuse_to_open(
     unsafe_code,
     reason = "ffmpeg-next cannot force a demuxer on custom input, nor skip its probing"
 )]
-pub(super) fn open(bytes: Arc<[u8]>, demuxer: &CStr) -> Result<Input, Error> {
+pub(super) fn open(
+    bytes: impl Read + Seek + Send + 'static,
+    demuxer: &CStr,
+) -> Result<Input, Error> {
     silence();
-    let mut io = StreamIo::from_read_seek(Cursor::new(bytes))?;
+    let mut io = StreamIo::from_read_seek(bytes)?;
     let only_this = demuxer.to_str().map_err(|_| Error::DemuxerNotFound)?;
     let options: Dictionary<'_> = [
         ("format_whitelist", only_this),

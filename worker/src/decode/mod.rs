@@ -7,13 +7,15 @@
 //! compute child that calls this.
 //!
 //! Files: [`mod@sniff`] (container by magic bytes), `structure` (does the file hold what its headers promise),
-//! `ffi` (all unsafe code), [`video`] (the decoding loop), `timeline` (presentation times), `convert` and
+//! `ffi` (all unsafe code), [`video`] (the decoding loop), `interval` (an episode of a longer video), `timeline`
+//! (presentation times), `convert` and
 //! `orient` (pixels), [`images`] (numbered images).
 
 mod convert;
 mod error;
 pub(crate) mod ffi;
 pub mod images;
+mod interval;
 mod orient;
 pub mod sniff;
 mod structure;
@@ -28,8 +30,9 @@ use serde::{Deserialize, Serialize};
 pub(crate) use convert::{BT709, EXACT_BICUBIC, is_full_range_format};
 pub use error::{DecodeError, LimitKind};
 pub use images::{decode_image, decode_images, digest_images, image_files, is_image_sequence};
+pub use interval::Interval;
 pub use sniff::{Container, sniff};
-pub use video::decode_video;
+pub use video::{decode_interval, decode_video};
 
 /// Bounds on one video, checked from its header before any frame is decoded and again while decoding.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

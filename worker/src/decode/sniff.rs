@@ -32,7 +32,7 @@ impl Container {
 }
 
 /// As much of the file as is looked at, bytes.
-const SNIFF_BYTES: usize = 4096;
+pub(super) const SNIFF_BYTES: usize = 4096;
 
 /// Top-level boxes with which an ISO base media file may begin.
 const ISO_FIRST_BOXES: [&[u8; 4]; 11] = [

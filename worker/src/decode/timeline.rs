@@ -76,6 +76,12 @@ impl Timeline {
         off(self.shortest) || off(self.longest)
     }
 
+    /// Mean ticks between frames; none for fewer than two.
+    pub(super) fn interval(&self) -> Option<f64> {
+        self.mean_interval_s()
+            .map(|interval_s| interval_s / self.tick_s)
+    }
+
     fn mean_interval_s(&self) -> Option<f64> {
         let span_s = self.last.saturating_sub(self.first?) as f64 * self.tick_s;
         (self.frames > 1 && span_s > 0.0).then(|| span_s / f64::from(self.frames - 1))

@@ -1,4 +1,4 @@
-//! One video file, in memory, to RGB frames in presentation order.
+//! One video file, in memory (or where it lies, for an episode in it), to RGB frames in presentation order.
 //!
 //! FFmpeg's libraries run in process on one thread. The demuxer is chosen by [`super::sniff()`] and may open
 //! nothing else. Limits are checked from the header before a codec runs, and again on every frame.
@@ -9,7 +9,12 @@
 //! change of picture size within a clip is refused too: frames of two sizes have no common flow. Packets
 //! that give no picture without an error are legal (field pairs, invisible reference frames, references before
 //! a cut), so they are only counted. Interlaced pictures are delivered as coded.
+//!
+//! Of an episode among others in one file, all of that is said of its own frames: limits are its own, and what
+//! is wrong elsewhere in the file is nothing to it.
 
+use std::fs::File;
+use std::io::{Cursor, Read, Seek};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -20,10 +25,11 @@ use ffmpeg_next::{Error, Packet, Rational, frame, media};
 
 use super::convert::{self, ConvertError, Converter};
 use super::ffi::{self, StreamHeader};
+use super::interval::{self, Place, Window};
 use super::orient::Orientation;
 use super::structure::{self, Structure};
 use super::timeline::Timeline;
-use super::{Container, DecodeError, DecodeLimits, DecodedFrame, VideoInfo, sniff};
+use super::{Container, DecodeError, DecodeLimits, DecodedFrame, Interval, VideoInfo, sniff};
 
 /// Decodes `bytes`, a whole file, and hands every frame to `on_frame` in presentation order.
 ///
@@ -40,20 +46,46 @@ pub fn decode_video(
     limits.check_bytes(bytes.len() as u64)?;
     let container = sniff(&bytes)?;
     let structure = structure::examine(container, &bytes);
-    let source = Source::open(bytes, container, structure)?;
+    let source = Source::open(Cursor::new(bytes), container, structure)?;
     source.check_header(limits)?;
-    let decoder = source.decoder(limits)?;
-    let mut run = Run {
-        timeline: Timeline::new(source.tick_s()),
-        source,
-        decoder,
-        limits,
-        converter: Converter::default(),
-        shape: None,
-        counts: Counts::default(),
+    let mut run = Run::new(source, limits, Window::WHOLE)?;
+    let ended = run.all_packets(None, on_frame)?;
+    run.finish(ended)
+}
+
+/// Decodes the frames of `interval`, with times from 0, and the packets before them back to a keyframe; of the
+/// file no more than a buffer is in memory.
+///
+/// # Errors
+/// As [`decode_video`], of the frames of the interval alone; also where the file ends before it does.
+pub fn decode_interval(
+    mut file: File,
+    interval: Interval,
+    limits: &DecodeLimits,
+    on_frame: &mut dyn FnMut(DecodedFrame) -> ControlFlow<()>,
+) -> Result<VideoInfo, DecodeError> {
+    let mut head = Vec::new();
+    let unread = |error: std::io::Error| {
+        DecodeError::undecodable(format!("the file does not read ({error}); copy it again"))
     };
-    let flow = run.all_packets(on_frame)?;
-    run.finish(flow.is_break())
+    let mut few = (&mut file).take(sniff::SNIFF_BYTES as u64);
+    few.read_to_end(&mut head).map_err(unread)?;
+    file.rewind().map_err(unread)?;
+    let container = sniff(&head)?;
+    let source = Source::open(file, container, Structure::default())?;
+    source.check_size(limits)?;
+    limits.check_duration(interval.length_s())?;
+    let window = Window::of(interval, source.time_base);
+    let mut run = Run::new(source, limits, window)?;
+    let stream = run.source.stream;
+    let first = interval::go_to(&mut run.source.input, stream, interval, window);
+    let first = first.map_err(|_| {
+        DecodeError::undecodable(
+            "a time in the file cannot be gone to; remux the episode to a file of its own",
+        )
+    })?;
+    let ended = run.all_packets(first, on_frame)?;
+    run.finish(ended)
 }
 
 impl Container {
@@ -82,7 +114,7 @@ struct Source {
 
 impl Source {
     fn open(
-        bytes: Arc<[u8]>,
+        bytes: impl Read + Seek + Send + 'static,
         container: Container,
         structure: Structure,
     ) -> Result<Self, DecodeError> {
@@ -123,9 +155,13 @@ impl Source {
         f64::from(self.time_base.numerator()) / f64::from(self.time_base.denominator().max(1))
     }
 
-    /// The limits, from the header alone.
+    fn check_size(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
+        limits.check_size(self.header.width, self.header.height)
+    }
+
+    /// The limits of a whole video, from the header alone.
     fn check_header(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
-        limits.check_size(self.header.width, self.header.height)?;
+        self.check_size(limits)?;
         if self.structure.has_placeholders {
             return Ok(());
         }
@@ -225,8 +261,20 @@ struct Counts {
     read_failed: bool,
 }
 
+/// Why there are no more frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Ended {
+    /// `on_frame` said so.
+    AsAsked,
+    /// Those that follow come after the window.
+    WindowPassed,
+    /// The file ends, or cannot be read on.
+    FileEnds,
+}
+
 struct Run<'a> {
     source: Source,
+    window: Window,
     decoder: decoder::Video,
     limits: &'a DecodeLimits,
     timeline: Timeline,
@@ -237,18 +285,41 @@ struct Run<'a> {
 
 type OnFrame<'f> = dyn FnMut(DecodedFrame) -> ControlFlow<()> + 'f;
 
-impl Run<'_> {
-    fn all_packets(&mut self, on_frame: &mut OnFrame<'_>) -> Result<ControlFlow<()>, DecodeError> {
+impl<'a> Run<'a> {
+    fn new(source: Source, limits: &'a DecodeLimits, window: Window) -> Result<Self, DecodeError> {
+        Ok(Self {
+            timeline: Timeline::new(source.tick_s()),
+            decoder: source.decoder(limits)?,
+            source,
+            window,
+            limits,
+            converter: Converter::default(),
+            shape: None,
+            counts: Counts::default(),
+        })
+    }
+
+    /// Decodes `first`, where a packet was read already, and all that follow.
+    fn all_packets(
+        &mut self,
+        mut first: Option<Packet>,
+        on_frame: &mut OnFrame<'_>,
+    ) -> Result<Ended, DecodeError> {
         loop {
-            let mut packet = Packet::empty();
-            match packet.read(&mut self.source.input) {
-                Ok(()) => {}
-                Err(Error::Eof) => break,
-                Err(_) => {
-                    self.counts.read_failed = true;
-                    break;
+            let packet = match first.take() {
+                Some(packet) => packet,
+                None => {
+                    let mut packet = Packet::empty();
+                    match packet.read(&mut self.source.input) {
+                        Ok(()) => packet,
+                        Err(Error::Eof) => break,
+                        Err(_) => {
+                            self.counts.read_failed = true;
+                            break;
+                        }
+                    }
                 }
-            }
+            };
             if packet.stream() != self.source.stream {
                 continue;
             }
@@ -258,25 +329,34 @@ impl Run<'_> {
             }
             self.counts.packets += 1;
             // Samples before an edit list's start are decoded for reference only.
-            if !ffi::is_hidden(&packet) {
+            let is_inside = match packet.pts() {
+                Some(pts) => self.window.place(pts) == Place::Inside,
+                None => self.window == Window::WHOLE,
+            };
+            if !ffi::is_hidden(&packet) && is_inside {
                 self.counts.presentable += 1;
             }
             if let Err(error) = self.decoder.send_packet(&packet) {
                 self.refused(&error)?;
             }
-            if self.all_pictures(on_frame)?.is_break() {
-                return Ok(ControlFlow::Break(()));
+            if let ControlFlow::Break(ended) = self.all_pictures(on_frame)? {
+                return Ok(ended);
             }
         }
         // A refused flush means that the decoder has nothing more to give.
-        if self.decoder.send_eof().is_err() {
-            return Ok(ControlFlow::Continue(()));
+        if self.decoder.send_eof().is_ok()
+            && let ControlFlow::Break(ended) = self.all_pictures(on_frame)?
+        {
+            return Ok(ended);
         }
-        self.all_pictures(on_frame)
+        Ok(Ended::FileEnds)
     }
 
     /// Delivers every picture that is ready.
-    fn all_pictures(&mut self, on_frame: &mut OnFrame<'_>) -> Result<ControlFlow<()>, DecodeError> {
+    fn all_pictures(
+        &mut self,
+        on_frame: &mut OnFrame<'_>,
+    ) -> Result<ControlFlow<Ended>, DecodeError> {
         loop {
             let mut picture = frame::Video::empty();
             match self.decoder.receive_frame(&mut picture) {
@@ -292,11 +372,17 @@ impl Run<'_> {
                     break;
                 }
             }
+            let ticks = self.ticks_of(&picture)?;
+            match self.window.place(ticks) {
+                Place::Before => continue,
+                Place::Inside => {}
+                Place::After => return Ok(ControlFlow::Break(Ended::WindowPassed)),
+            }
             self.counts.pictures += 1;
-            if let Some(decoded) = self.present(&picture)?
+            if let Some(decoded) = self.present(&picture, ticks)?
                 && on_frame(decoded).is_break()
             {
-                return Ok(ControlFlow::Break(()));
+                return Ok(ControlFlow::Break(Ended::AsAsked));
             }
         }
         Ok(ControlFlow::Continue(()))
@@ -312,13 +398,16 @@ impl Run<'_> {
     }
 
     /// The frame as a player shows it; nothing when its time does not advance.
-    fn present(&mut self, picture: &frame::Video) -> Result<Option<DecodedFrame>, DecodeError> {
+    fn present(
+        &mut self,
+        picture: &frame::Video,
+        ticks: i64,
+    ) -> Result<Option<DecodedFrame>, DecodeError> {
         let square_width = self.shape_of(picture)?.square_width;
         let orientation = self
             .shape
             .as_ref()
             .map_or(Orientation::UPRIGHT, |shape| shape.orientation);
-        let ticks = self.ticks_of(picture)?;
         let Some((index, time_s)) = self.timeline.push(ticks) else {
             self.counts.dropped = self.counts.dropped.saturating_add(1);
             return Ok(None);
@@ -392,14 +481,7 @@ impl Run<'_> {
         let Some(last) = self.timeline.last() else {
             return Ok(0);
         };
-        let rate = self
-            .source
-            .input
-            .stream(self.source.stream)
-            .map(|stream| f64::from(stream.avg_frame_rate()));
-        let interval = rate
-            .filter(|&rate| rate > 0.0)
-            .map(|rate| (1.0 / (rate * self.source.tick_s())).round_ties_even());
+        let interval = self.nominal_interval().map(f64::round_ties_even);
         match interval.filter(|&interval| interval >= 1.0) {
             Some(interval) => Ok(last.saturating_add(interval as i64)),
             None => Err(DecodeError::undecodable(
@@ -408,11 +490,19 @@ impl Run<'_> {
         }
     }
 
+    /// Ticks between frames at the rate that the file states.
+    fn nominal_interval(&self) -> Option<f64> {
+        let stream = self.source.input.stream(self.source.stream)?;
+        let rate = f64::from(stream.avg_frame_rate());
+        (rate > 0.0).then(|| 1.0 / (rate * self.source.tick_s()))
+    }
+
     /// Whether the clip came in full, and what it was.
-    fn finish(self, stopped_early: bool) -> Result<VideoInfo, DecodeError> {
+    fn finish(self, ended: Ended) -> Result<VideoInfo, DecodeError> {
         let counts = &self.counts;
+        let stopped_early = ended == Ended::AsAsked;
         if !stopped_early {
-            self.check_complete()?;
+            self.check_complete(ended)?;
         }
         let silent = counts.presentable.saturating_sub(counts.pictures);
         let shape = self
@@ -449,8 +539,14 @@ impl Run<'_> {
         })
     }
 
-    fn check_complete(&self) -> Result<(), DecodeError> {
+    fn check_complete(&self, ended: Ended) -> Result<(), DecodeError> {
         let counts = &self.counts;
+        if self.window != Window::WHOLE {
+            if ended == Ended::FileEnds {
+                self.check_window()?;
+            }
+            return self.check_refused();
+        }
         let declared = self.source.declared.or(self.source.structure.frames);
         // Containers with an index are judged by it, so that a padded or trimmed tail is no fault.
         let is_cut = match self.source.declared {
@@ -466,6 +562,28 @@ impl Run<'_> {
                 of(declared.filter(|&total| total >= u64::from(decoded))),
             )));
         }
+        self.check_refused()
+    }
+
+    /// Whether the frames that came before the file's end are all that the window can have.
+    fn check_window(&self) -> Result<(), DecodeError> {
+        let frames = self.timeline.frames();
+        let interval = self.timeline.interval().or_else(|| self.nominal_interval());
+        let filled = match (self.timeline.last(), interval) {
+            (Some(last), Some(interval)) => self.window.is_filled(last, interval),
+            (Some(_), None) => true,
+            (None, _) => false,
+        };
+        if filled && !self.counts.read_failed {
+            return Ok(());
+        }
+        Err(DecodeError::undecodable(format!(
+            "truncated: the file ends after {frames} frames of the episode; copy the file again, or mend its time in the dataset's meta/episodes",
+        )))
+    }
+
+    fn check_refused(&self) -> Result<(), DecodeError> {
+        let counts = &self.counts;
         let expected = counts.presentable;
         if counts.rejected > 0 && counts.pictures < expected {
             return Err(DecodeError::undecodable(format!(

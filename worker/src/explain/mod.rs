@@ -10,6 +10,7 @@ mod heat;
 mod overlay;
 pub mod plot;
 mod scale;
+pub mod scatter;
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -20,7 +21,7 @@ use plumbline_vision::image::{Plane, Rgb8};
 use serde::{Deserialize, Serialize};
 
 use crate::decode::DecodedFrame;
-use crate::measure::{MeasureError, View, measure_in_detail};
+use crate::measure::{MeasureError, Models, View, measure_in_detail};
 use crate::profile::Profile;
 pub use canvas::{DrawError, FONT, load_font};
 
@@ -139,6 +140,7 @@ struct Kept {
 pub(crate) fn draw(
     request: &DrawJob,
     copy: Option<&Path>,
+    models: &mut Models<'_>,
     take: &mut dyn FnMut(Picture) -> Result<(), Box<dyn std::error::Error + Send + Sync>>,
 ) -> Result<Option<String>, ExplainError> {
     let profile: Profile =
@@ -183,7 +185,7 @@ pub(crate) fn draw(
         wanted_maps: wanted_maps.collect(),
         on_frame: &mut on_frame,
     };
-    let detailed = measure_in_detail(&request.job, copy, Some(view))?;
+    let detailed = measure_in_detail(&request.job, copy, models, Some(view))?;
     if let Some(failure) = failure {
         return Err(failure);
     }

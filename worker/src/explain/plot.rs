@@ -197,6 +197,6 @@ fn head(area: &DrawingArea<BitMapBackend<'_>, Shift>, panel: &Panel) -> Result<(
     Ok(())
 }
 
-fn failed(error: impl std::fmt::Display) -> DrawError {
+pub(super) fn failed(error: impl std::fmt::Display) -> DrawError {
     DrawError::new(error)
 }

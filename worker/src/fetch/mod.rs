@@ -1,4 +1,5 @@
-//! The bytes of a job's object, brought to this machine before its child measures them.
+//! The bytes of a job's object, and the networks of its profile, brought to this machine before its child
+//! measures them.
 //!
 //! Ranged, in the version that was listed, and never more than the profile allows. What is said of an
 //! object in a row names its address and is the same text on every machine: neither the scratch file nor
@@ -11,16 +12,18 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use plumbline_common::message::{Job, Location, ObjectLocation};
+use plumbline_common::message::{Job, ObjectLocation, Part};
 use plumbline_common::row::Measurement;
 use plumbline_common::store::{
-    ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_to_file,
+    ObjectKey, ObjectMeta, ObjectStore, S3Options, S3Store, StoreError, fetch_range_to_file,
 };
+use serde::Deserialize;
 use tempfile::TempPath;
 use tokio::sync::{Mutex, OnceCell};
 
 use self::scratch::Scratch;
-use crate::measure::read::ReadError;
+use crate::learned::{ModelPlaces, ModelSettings, ModelSource, SourceError};
+use crate::measure::read::{ReadError, byte_range};
 use crate::profile::Profile;
 
 /// Stores kept open: jobs name their bucket, and nobody says how many there are.
@@ -30,6 +33,7 @@ const MAX_OPEN_STORES: usize = 64;
 #[derive(Debug, Clone)]
 pub struct Fetcher {
     shared: Arc<Shared>,
+    models: Arc<ModelSource>,
 }
 
 #[derive(Debug)]
@@ -44,15 +48,27 @@ struct Shared {
 /// A job whose bytes are on this machine.
 #[derive(Debug)]
 pub struct Fetched {
-    /// The copy of an object, removed when dropped; files are read where they are.
+    /// The copy of an object, or of some of it, removed when dropped; files are read where they are.
     copy: Option<TempPath>,
     /// Bytes read from a store.
     pub bytes: u64,
     /// How long that took.
     pub took: Duration,
+    /// Where the networks are that its profile needs.
+    pub(crate) models: Option<ModelPlaces>,
 }
 
 impl Fetched {
+    /// No video, only networks.
+    pub(crate) fn of_models(models: Option<ModelPlaces>) -> Self {
+        Self {
+            copy: None,
+            bytes: 0,
+            took: Duration::ZERO,
+            models,
+        }
+    }
+
     /// The copy, where the job is an object.
     pub(crate) fn path(&self) -> Option<&Path> {
         self.copy.as_deref()
@@ -88,6 +104,7 @@ impl Fetcher {
     #[must_use]
     pub fn new(s3: S3Options, scratch_parent: impl Into<PathBuf>) -> Self {
         Self {
+            models: Arc::new(ModelSource::new(ModelSettings::default(), s3.clone())),
             shared: Arc::new(Shared {
                 s3,
                 scratch_parent: scratch_parent.into(),
@@ -95,6 +112,37 @@ impl Fetcher {
                 stores: Mutex::default(),
             }),
         }
+    }
+
+    /// The same, with learned networks from where these settings say.
+    #[must_use]
+    pub fn with_models(self, settings: ModelSettings) -> Self {
+        let s3 = self.shared.s3.clone();
+        Self {
+            models: Arc::new(ModelSource::new(settings, s3)),
+            ..self
+        }
+    }
+
+    /// Where model sets come from.
+    #[must_use]
+    pub fn model_source(&self) -> &ModelSource {
+        &self.models
+    }
+
+    /// Where the networks of a profile (in its canonical form) are on this machine; brought here where they
+    /// were not. `None` for a profile without any.
+    pub(crate) async fn models(&self, profile: &[u8]) -> Result<Option<ModelPlaces>, SourceError> {
+        // What does not decode is refused by whoever measures.
+        let Ok(wanted) = serde_json::from_slice::<WantedModels>(profile) else {
+            return Ok(None);
+        };
+        let [sea_raft, droid] = [&wanted.sea_raft, &wanted.droid]
+            .map(|wanted| wanted.as_ref().and_then(|wanted| wanted.model.as_deref()));
+        if sea_raft.is_none() && droid.is_none() {
+            return Ok(None);
+        }
+        self.models.places(sea_raft, droid).await.map(Some)
     }
 
     /// How stores are spoken to.
@@ -109,20 +157,24 @@ impl Fetcher {
         stores.insert(bucket.to_owned(), store);
     }
 
-    /// Brings the bytes of `job` here, if they are an object's.
+    /// Brings the bytes of `job` here, if they are an object's: of a tar's member its own alone, of an episode
+    /// in a longer video the whole video.
     ///
     /// # Errors
     /// [`FetchError`], with the row that the video gets if nobody tries again.
     pub async fn fetch(&self, job: &Job) -> Result<Fetched, FetchError> {
         let started = Instant::now();
-        let (copy, bytes) = match &job.location {
-            Location::File(_) | Location::ImageSequence(_) => (None, 0),
-            Location::Object(object) => (Some(self.copy(job, object).await?), job.bytes),
+        let models = self.models(&job.profile).await;
+        let models = models.map_err(|error| no_models(job, error))?;
+        let (copy, bytes) = match job.location.object() {
+            None => (None, 0),
+            Some(object) => (Some(self.copy(job, object).await?), job.bytes_read()),
         };
         Ok(Fetched {
             copy,
             bytes,
             took: started.elapsed(),
+            models,
         })
     }
 
@@ -136,9 +188,9 @@ impl Fetcher {
             Err(elapsed) => elapsed,
         };
         let said = ReadError::NotRead {
-            object: match &job.location {
-                Location::Object(object) => object.to_string(),
-                Location::File(_) | Location::ImageSequence(_) => job.video.to_string(),
+            object: match job.location.object() {
+                Some(object) => object.to_string(),
+                None => job.video.to_string(),
             },
             why: "was not read within the time given to a video; score it again later, or raise --deadline"
                 .to_owned(),
@@ -169,8 +221,16 @@ impl Fetcher {
         // The words of a file that is too large.
         let limits = profile.limits;
         limits
-            .check_bytes(job.bytes)
+            .check_bytes(job.bytes_read())
             .map_err(|error| ended(error.into()))?;
+        let range = match job.location.part() {
+            Some(Part::Bytes { offset, bytes }) => byte_range(offset, bytes, job.bytes)
+                .ok_or_else(|| {
+                    let path = object.to_string();
+                    ended(ReadError::Outside { path })
+                })?,
+            Some(Part::Interval { .. }) | None => 0..job.bytes,
+        };
         let key = ObjectKey::new(&object.key).map_err(|error| failed(error.into()))?;
         let meta = ObjectMeta {
             key,
@@ -185,7 +245,7 @@ impl Fetcher {
             .scratch
             .get_or_try_init(|| Scratch::below(parent));
         let path = scratch.await.map_err(failed)?.new_path().map_err(failed)?;
-        fetch_to_file(&*store, &meta, limits.max_bytes, &path)
+        fetch_range_to_file(&*store, &meta, range, limits.max_bytes, &path)
             .await
             .map_err(failed)?;
         Ok(path)
@@ -203,6 +263,31 @@ impl Fetcher {
             Arc::new(S3Store::connect(bucket, "", &self.shared.s3).await?);
         stores.insert(bucket.to_owned(), Arc::clone(&store));
         Ok(store)
+    }
+}
+
+/// Of a profile, what says which networks it needs.
+#[derive(Deserialize)]
+struct WantedModels {
+    sea_raft: Option<WantedModel>,
+    droid: Option<WantedModel>,
+}
+
+#[derive(Deserialize)]
+struct WantedModel {
+    model: Option<String>,
+}
+
+/// Another machine may have them.
+fn no_models(job: &Job, error: SourceError) -> FetchError {
+    let said = ReadError::Models(error.to_string());
+    FetchError {
+        failure: match error.is_passing() {
+            true => FetchFailure::Passing,
+            false => FetchFailure::Refused,
+        },
+        row: Box::new(said.row(job)),
+        source: error.into(),
     }
 }
 

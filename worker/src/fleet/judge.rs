@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use plumbline_common::id::{RunId, VideoId};
-use plumbline_common::message::{self, FleetJob, Location, MAX_MESSAGE_BYTES};
+use plumbline_common::message::{self, FleetJob, MAX_MESSAGE_BYTES};
 use serde::Deserialize;
 
 use super::MAX_REDELIVERIES;
@@ -56,9 +56,7 @@ fn objection(job: &FleetJob, redeliveries: u32, files: Option<&Path>) -> Option<
             "the job's profile does not decode: {error}; coordinator and worker must be of one version"
         ));
     }
-    let (Location::File(path) | Location::ImageSequence(path)) = &job.job.location else {
-        return None;
-    };
+    let path = job.job.location.path()?;
     let path = PathBuf::from(<std::ffi::OsStr as std::os::unix::ffi::OsStrExt>::from_bytes(path));
     match files {
         Some(root) if is_below(&path, root) => None,

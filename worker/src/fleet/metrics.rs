@@ -72,6 +72,8 @@ impl Metrics {
             ("flow", cost.flow_s),
             ("signals", cost.signals_s),
             ("geometry", cost.geometry_s),
+            ("photometric", cost.photometric_s),
+            ("tracking", cost.tracking_s),
         ];
         for (stage, seconds) in stages {
             self.stage(stage, seconds);

@@ -17,12 +17,12 @@ use sha2::{Digest, Sha256};
 use super::runtime::Runtime;
 use super::session::{OrtNetwork, Threads};
 
-const SIDECAR: &str = "model.json";
+pub(super) const SIDECAR: &str = "model.json";
 /// The format that is read; `deploy/models/model_set.py` writes it.
 const FORMAT: u32 = 1;
 /// A sidecar has some 3 kB, the largest graph 37 MB.
-const MOST_SIDECAR_BYTES: u64 = 1 << 20;
-const MOST_GRAPH_BYTES: u64 = 1 << 30;
+pub(super) const MOST_SIDECAR_BYTES: u64 = 1 << 20;
+pub(super) const MOST_GRAPH_BYTES: u64 = 1 << 30;
 
 /// A model set cannot be used; says what to do.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -101,16 +101,24 @@ impl ModelSet {
             });
         }
         let bytes = read_limited(&path, MOST_SIDECAR_BYTES)?;
+        Self::parse(&path, &bytes)
+    }
+
+    /// The set of a sidecar with this content at `path`.
+    ///
+    /// # Errors
+    /// [`ModelError::Damaged`] where it is none.
+    pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Self, ModelError> {
         let sidecar: Sidecar =
-            serde_json::from_slice(&bytes).map_err(|error| damaged(&path, error.to_string()))?;
+            serde_json::from_slice(bytes).map_err(|error| damaged(path, error.to_string()))?;
         if sidecar.format != FORMAT {
             let reason = format!("format {}, this program reads {FORMAT}", sidecar.format);
-            return Err(damaged(&path, reason));
+            return Err(damaged(path, reason));
         }
         Ok(Self {
-            directory: directory.to_owned(),
+            directory: path.parent().unwrap_or(path).to_owned(),
             sidecar,
-            digest: sha256_hex(&bytes),
+            digest: digest_of(bytes),
         })
     }
 
@@ -118,6 +126,36 @@ impl ModelSet {
     #[must_use]
     pub fn digest(&self) -> &str {
         &self.digest
+    }
+
+    /// Which network it is of: `sea-raft` or `droid`.
+    #[must_use]
+    pub fn network(&self) -> &str {
+        &self.sidecar.network
+    }
+
+    /// Where it lies.
+    #[must_use]
+    pub fn directory(&self) -> &Path {
+        &self.directory
+    }
+
+    /// The names of its files, the sidecar's apart.
+    ///
+    /// # Errors
+    /// [`ModelError::Damaged`] where one is no plain name.
+    pub(super) fn files(&self) -> Result<Vec<&str>, ModelError> {
+        let graphs = self.sidecar.graphs.values();
+        graphs.map(|graph| self.file_name(graph)).collect()
+    }
+
+    /// Reads every file and holds it against its digest.
+    ///
+    /// # Errors
+    /// [`ModelError::Damaged`].
+    pub fn verify(&self) -> Result<(), ModelError> {
+        let mut graphs = self.sidecar.graphs.values();
+        graphs.try_for_each(|graph| self.read_graph(graph).map(drop))
     }
 
     /// SEA-RAFT as WorldScore uses it: at half resolution, with the size's own number of iterations.
@@ -183,20 +221,31 @@ impl ModelSet {
             let reason = format!("it names no graph {name}");
             return Err(damaged(&self.directory.join(SIDECAR), reason));
         };
-        let file = Path::new(&graph.file);
-        if file.file_name() != Some(file.as_os_str()) {
-            let reason = format!("{:?} is not a file's name", graph.file);
-            return Err(damaged(&self.directory.join(SIDECAR), reason));
-        }
-        let path = self.directory.join(file);
-        let bytes = read_limited(&path, MOST_GRAPH_BYTES)?;
-        if sha256_hex(&bytes) != graph.sha256 {
-            let reason = format!("its content is not what {SIDECAR} says");
-            return Err(damaged(&path, reason));
-        }
+        let bytes = self.read_graph(graph)?;
         let name = format!("{} {name}", self.sidecar.network);
         let network = OrtNetwork::open(&runtime.environment, &name, &bytes, threads)?;
         Ok(Box::new(network))
+    }
+}
+
+impl ModelSet {
+    fn file_name<'a>(&self, graph: &'a Graph) -> Result<&'a str, ModelError> {
+        let file = Path::new(&graph.file);
+        if file.file_name() == Some(file.as_os_str()) {
+            return Ok(&graph.file);
+        }
+        let reason = format!("{:?} is not a file's name", graph.file);
+        Err(damaged(&self.directory.join(SIDECAR), reason))
+    }
+
+    fn read_graph(&self, graph: &Graph) -> Result<Vec<u8>, ModelError> {
+        let path = self.directory.join(self.file_name(graph)?);
+        let bytes = read_limited(&path, MOST_GRAPH_BYTES)?;
+        if digest_of(&bytes) != graph.sha256 {
+            let reason = format!("its content is not what {SIDECAR} says");
+            return Err(damaged(&path, reason));
+        }
+        Ok(bytes)
     }
 }
 
@@ -220,7 +269,8 @@ fn read_limited(path: &Path, most: u64) -> Result<Vec<u8>, ModelError> {
     Ok(bytes)
 }
 
-fn sha256_hex(bytes: &[u8]) -> String {
+/// SHA-256, hexadecimal.
+pub(super) fn digest_of(bytes: &[u8]) -> String {
     let digest = Sha256::digest(bytes);
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }

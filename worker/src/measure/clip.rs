@@ -16,38 +16,60 @@ use plumbline_vision::faults::{ChangePair, FaultKind, FaultSeries};
 use plumbline_vision::flow::Flow;
 use plumbline_vision::flow::dis::{Dis, DisFrame};
 use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
-use plumbline_vision::scene::{
-    AdjustedEdge, ClipGeometry, EdgeInput, RigidSolver, SceneError, TwoViewSolver, clip_layers,
-    sample_grid,
-};
+use plumbline_vision::learned::sea_raft::SeaRaftFrame;
+use plumbline_vision::scene::clip::worst_edge;
+use plumbline_vision::scene::{AdjustedEdge, ClipGeometry, clip_layers};
 use plumbline_vision::signals::PairSignals;
 
+use super::edges::{Edges, Flows, PairFlows};
 use super::fill;
-use super::geometry::{DenseGraph, DenseWork};
+use super::geometry::DenseWork;
+use super::learned::{LearnedMeasures, LearnedWork};
+use super::network_flow::NetworkFlow;
 use super::observers::Observers;
 use super::thumbnail::thumbnails;
 use super::verdict::{PairEvidence, verdict};
 use crate::decode::{DecodedFrame, VideoInfo};
+use crate::learned::Networks;
 use crate::profile::Profile;
 
 /// Wider pictures would blow up at the working height; no camera makes them.
 const MAX_ASPECT: usize = 8;
-
-/// Weight of a correspondence whose forward and backward flow disagree utterly: not zero, since the
-/// models must not be chosen on the consistent part alone.
-const LEAST_WEIGHT: f64 = 1e-3;
 
 /// Why a decoded clip cannot be measured.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ClipError {
     #[error("the picture is {width}×{height}, an aspect beyond {MAX_ASPECT}:1; crop it")]
     Aspect { width: usize, height: usize },
+    #[error(
+        "a {width}x{height} picture is too small for {stage}: {least} px are needed on each side; enlarge the video"
+    )]
+    TooSmall {
+        stage: &'static str,
+        width: usize,
+        height: usize,
+        least: usize,
+    },
+    #[error(
+        "{frames} frames, more than the {most} that droid.most_frames of the profile allows; cut the clip into parts, or raise that and --memory by some 30 MiB for each frame"
+    )]
+    TooLong { frames: u32, most: u32 },
     #[error("{stage} at frame {frame}: {source}")]
     Stage {
         stage: &'static str,
         frame: u32,
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+}
+
+impl ClipError {
+    /// What becomes of the video.
+    pub(super) fn status(&self) -> Status {
+        match self {
+            Self::Aspect { .. } | Self::TooLong { .. } => Status::OverLimit,
+            Self::TooSmall { .. } | Self::Stage { .. } => Status::Failed,
+        }
+    }
 }
 
 /// Names the stage and frame of an error.
@@ -68,14 +90,16 @@ pub(super) struct Spent {
     pub(super) flow: Duration,
     pub(super) signals: Duration,
     pub(super) geometry: Duration,
+    pub(super) learned: LearnedWork,
 }
 
 /// A frame, prepared once for all pairs that it takes part in.
 pub(super) struct Prepared {
     pub(super) index: u32,
     pub(super) rgb: Rgb8,
-    dis: DisFrame,
-    pub(super) normalised: NormalisedFrame,
+    dis: Rc<DisFrame>,
+    network: Option<Rc<SeaRaftFrame>>,
+    pub(super) normalised: Rc<NormalisedFrame>,
 }
 
 /// One adjacent pair's numbers.
@@ -94,15 +118,22 @@ struct Peak {
     heat: Plane,
 }
 
-/// Forward and backward flow between two frames, how well they agree, and what changed.
+/// Forward and backward flow between two frames, and what changed.
 pub(super) struct Edge {
     from: u32,
-    forward: Flow,
-    backward: Flow,
-    end_point: EndPointError,
+    flows: Flows,
     pub(super) change: ChangePair,
-    /// Of the earlier frame in the later, and the other way.
-    structure: [Structure; 2],
+}
+
+/// Pairs of frames, of which each has a flow there and one back.
+#[derive(Debug, Default, Clone, Copy)]
+pub(super) struct FlowWork {
+    /// Pairs whose flows were searched for.
+    pub(super) pairs: u64,
+    /// Pairs that a measurement would take that leaves nothing out.
+    pub(super) pairs_in_full: u64,
+    /// Frames that are the one before again, bit for bit.
+    pub(super) frames_repeated: u64,
 }
 
 /// A frame at the working size: the profile's height, aspect kept.
@@ -111,61 +142,68 @@ pub(crate) fn working_picture(profile: &Profile, frame: &DecodedFrame) -> Result
     if width > MAX_ASPECT * height || height > MAX_ASPECT * width {
         return Err(ClipError::Aspect { width, height });
     }
-    let working_height = profile.working_height_px as usize;
-    let working_width = (width * working_height + height / 2) / height;
-    Ok(resize_rgb(&frame.rgb, working_width.max(1), working_height))
+    let (working_width, working_height) = profile.working_size(width, height);
+    Ok(resize_rgb(&frame.rgb, working_width, working_height))
 }
 
 /// A clip being measured.
 pub(super) struct Clip<'a> {
     profile: &'a Profile,
     dis: Dis,
+    network_flow: Option<NetworkFlow<'a>>,
+    learned: LearnedMeasures<'a>,
     recent: VecDeque<Rc<Prepared>>,
     usable_frames: u32,
     pairs: Vec<Pair>,
-    solver: Option<TwoViewSolver>,
-    dense: DenseGraph,
+    edges: Edges<'a>,
+    pub(super) flow_work: FlowWork,
     pub(super) dense_work: DenseWork,
     geometry: Option<ClipGeometry>,
-    geometry_problem: Option<SceneError>,
     observers: Option<Observers>,
     peak: Option<Peak>,
     views: Views,
     faults: FaultSeries,
+    /// Behind e_t, where learned networks have found it.
+    tracked: Option<Vec<AdjustedEdge>>,
     pub(super) spent: Spent,
 }
 
 /// What is kept for pictures beside the numbers; nothing unless asked.
 #[derive(Default)]
 struct Views {
+    all_faults: bool,
     wanted_maps: Vec<(FaultKind, usize)>,
     error_maps: bool,
     latest_error_px: Option<Plane>,
 }
 
 impl<'a> Clip<'a> {
-    pub(super) fn new(profile: &'a Profile) -> Self {
-        let (solver, geometry_problem) = match TwoViewSolver::new(profile.two_view) {
-            Ok(solver) => (Some(solver), None),
-            Err(problem) => (None, Some(problem)),
-        };
+    pub(super) fn new(profile: &'a Profile, networks: Networks<'a>) -> Self {
+        let (learned, sea_raft) = LearnedMeasures::new(profile, networks);
         Self {
             profile,
             dis: Dis::new(profile.flow.clone()),
+            network_flow: sea_raft.map(NetworkFlow::new),
+            learned,
             recent: VecDeque::new(),
             usable_frames: 0,
             pairs: Vec::new(),
-            solver,
-            dense: DenseGraph::default(),
+            edges: Edges::new(profile),
+            flow_work: FlowWork::default(),
             dense_work: DenseWork::default(),
             geometry: None,
-            geometry_problem,
             observers: None,
             peak: None,
             views: Views::default(),
             faults: FaultSeries::default(),
+            tracked: None,
             spent: Spent::default(),
         }
+    }
+
+    /// Every fault score is wanted, also those that the row does not show.
+    pub(super) fn keep_faults(&mut self) {
+        self.views.all_faults = true;
     }
 
     /// Keeps, from now on, the fault maps of these kinds and frames, and each frame's end-point error.
@@ -187,7 +225,11 @@ impl<'a> Clip<'a> {
 
     /// The edge behind the paper's heat map: of those that end at t*, the one of the largest mean residual.
     pub(super) fn take_worst_edge(&mut self, peak_frame: Option<u32>) -> Option<AdjustedEdge> {
-        self.geometry.take()?.worst_edge(peak_frame? as usize)
+        let frame = peak_frame? as usize;
+        match self.tracked.take() {
+            Some(edges) => worst_edge(edges.into_iter(), frame),
+            None => self.geometry.take()?.worst_edge(frame),
+        }
     }
 
     /// Takes the next frame and measures it against the frames before.
@@ -196,54 +238,193 @@ impl<'a> Clip<'a> {
             return Ok(());
         }
         self.usable_frames += 1;
-        let current = Rc::new(self.prepare(frame)?);
-        let mut edges = Vec::with_capacity(self.profile.edge_spans.len());
-        for earlier in self.recent.clone() {
-            let span = current.index - earlier.index;
-            if self.profile.edge_spans.contains(&span) {
-                let edge = self.edge(&earlier, &current)?;
-                if span == 1 {
-                    self.photometric(&current, &edge)?;
+        self.learned.push(frame.index, &frame.rgb)?;
+        let rgb = working_picture(self.profile, &frame)?;
+        let video = (frame.rgb.width, frame.rgb.height);
+        self.edges.sized(video, (rgb.width, rgb.height));
+        let current = self.prepare(frame.index, rgb)?;
+        let recent = self.recent.clone();
+        let adjacent = match recent.back() {
+            Some(earlier) => Some(self.adjacent(earlier, &current)?),
+            None => None,
+        };
+        let mut longer = Vec::new();
+        for earlier in &recent {
+            let (from, to) = (earlier.index, current.index);
+            if !self.profile.edge_spans.contains(&(to - from)) {
+                continue;
+            }
+            self.flow_work.pairs_in_full += 1;
+            match &adjacent {
+                Some((edge, end_point)) if to - from == 1 => {
+                    self.geometric(|edges| edges.measured(from, to, &edge.flows, end_point))?;
                 }
-                self.geometric(current.index, &edge)?;
-                edges.push(edge);
+                _ => {
+                    let adjacent = adjacent.as_ref().map(|(edge, _)| edge);
+                    longer.extend(self.longer(earlier, &current, adjacent)?);
+                }
             }
         }
-        self.observe(&current, &edges)?;
+        longer.extend(adjacent.map(|(edge, _)| edge));
+        self.observe(&current, &longer)?;
+        self.remember(current);
+        Ok(())
+    }
+
+    /// The edge to the frame before, and its end-point error; its numbers are taken.
+    fn adjacent(
+        &mut self,
+        earlier: &Prepared,
+        current: &Prepared,
+    ) -> Result<(Edge, EndPointError), ClipError> {
+        let edge = self.edge(earlier, current)?;
+        let end_point = self.end_point(current.index, &edge.flows)?;
+        self.photometric([earlier, current], &edge, &end_point)?;
+        self.edges.adjacent(Rc::clone(&edge.flows));
+        Ok((edge, end_point))
+    }
+
+    /// An edge to a frame further back, for the motion models. It is returned where something else may read it:
+    /// with flows of its own, which it has where none may be followed or a bad frame may lie between.
+    fn longer(
+        &mut self,
+        earlier: &Prepared,
+        current: &Prepared,
+        adjacent: Option<&Edge>,
+    ) -> Result<Option<Edge>, ClipError> {
+        let (from, to) = (earlier.index, current.index);
+        if !self.profile.follow_flow {
+            let edge = self.edge(earlier, current)?;
+            self.measured(from, to, &edge.flows)?;
+            return Ok(Some(edge));
+        }
+        self.geometric(|edges| edges.followed(from, to))?;
+        let is_read = match (&self.observers, adjacent) {
+            (Some(observers), Some(adjacent)) if to - from == 2 => observers.may_be_bad(adjacent),
+            _ => false,
+        };
+        match is_read {
+            true => Ok(Some(self.edge(earlier, current)?)),
+            false => Ok(None),
+        }
+    }
+
+    /// Whether the clip is to be decoded once more, frame by frame into [`Self::push_again`].
+    pub(super) fn need_second_look(&mut self) -> Result<bool, ClipError> {
+        let mut needed = false;
+        self.geometric(|edges| {
+            needed = edges.need_second_look();
+            if needed {
+                edges.look_again();
+            }
+            Ok(())
+        })?;
+        self.recent.clear();
+        Ok(needed)
+    }
+
+    /// Takes the next frame again, for edges that need flows of their own.
+    pub(super) fn push_again(&mut self, frame: &DecodedFrame) -> Result<(), ClipError> {
+        if frame.index < self.profile.conditioning_frames {
+            return Ok(());
+        }
+        let rgb = working_picture(self.profile, frame)?;
+        let current = self.prepare(frame.index, rgb)?;
+        for earlier in self.recent.clone() {
+            let (from, to) = (earlier.index, current.index);
+            match to - from {
+                1 => self.geometric(|edges| edges.keep(from, to))?,
+                span if self.profile.edge_spans.contains(&span) => {
+                    let flows = self.flows(&earlier, &current)?;
+                    self.measured(from, to, &flows)?;
+                }
+                _ => {}
+            }
+        }
+        self.remember(current);
+        Ok(())
+    }
+
+    /// An edge whose flows are not followed, for the motion models.
+    fn measured(&mut self, from: u32, to: u32, flows: &PairFlows) -> Result<(), ClipError> {
+        let end_point = self.end_point(to, flows)?;
+        self.geometric(|edges| edges.measured(from, to, flows, &end_point))
+    }
+
+    fn remember(&mut self, current: Rc<Prepared>) {
         let longest = self.profile.edge_spans.last().copied().unwrap_or(1) as usize;
         if self.recent.len() == longest {
             self.recent.pop_front();
         }
         self.recent.push_back(current);
-        Ok(())
     }
 
-    fn prepare(&mut self, frame: DecodedFrame) -> Result<Prepared, ClipError> {
-        let rgb = working_picture(self.profile, &frame)?;
-        let video = (frame.rgb.width, frame.rgb.height);
-        self.dense.sized(video, (rgb.width, rgb.height));
+    /// Prepares a frame at the working size; one that is the last one again shares its preparation.
+    fn prepare(&mut self, index: u32, rgb: Rgb8) -> Result<Rc<Prepared>, ClipError> {
+        if let Some(last) = self.recent.back().filter(|last| last.rgb == rgb) {
+            self.flow_work.frames_repeated += 1;
+            return Ok(Rc::new(Prepared {
+                index,
+                rgb,
+                dis: Rc::clone(&last.dis),
+                network: last.network.clone(),
+                normalised: Rc::clone(&last.normalised),
+            }));
+        }
         let grey = rgb.grey();
         let started = Instant::now();
-        let dis = DisFrame::new(&grey, &self.profile.flow).map_err(at("flow", frame.index))?;
+        let dis = DisFrame::new(&grey, &self.profile.flow).map_err(at("flow", index))?;
+        let network = match &mut self.network_flow {
+            Some(network) => Some(Rc::new(network.prepare(index, &rgb)?)),
+            None => None,
+        };
         self.spent.flow += started.elapsed();
         let normalised = NormalisedFrame::new(&grey, &self.profile.consistency)
-            .map_err(at("consistency", frame.index))?;
-        Ok(Prepared {
-            index: frame.index,
+            .map_err(at("consistency", index))?;
+        Ok(Rc::new(Prepared {
+            index,
             rgb,
-            dis,
-            normalised,
-        })
+            dis: Rc::new(dis),
+            network,
+            normalised: Rc::new(normalised),
+        }))
     }
 
-    /// Forward and backward flow between two frames.
-    fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<[Flow; 2], ClipError> {
+    /// Forward and backward flow between two frames: zero, as the search would find, between one frame and
+    /// itself.
+    fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Flows, ClipError> {
+        let networks = earlier.network.as_ref().zip(later.network.as_ref());
+        if networks.is_none() && Rc::ptr_eq(&earlier.dis, &later.dis) {
+            let still = Flow::still(earlier.rgb.width, earlier.rgb.height);
+            return Ok(Rc::new(PairFlows::of([still.clone(), still])));
+        }
         let started = Instant::now();
-        let error = at("flow", later.index);
-        let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
-        let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+        let flows =
+            if let (Some(network), Some((first, second))) = (&mut self.network_flow, networks) {
+                let (forward, ahead) = network.flow(later.index, first, second, &later.rgb)?;
+                let (backward, back) = network.flow(later.index, second, first, &later.rgb)?;
+                PairFlows {
+                    ways: [forward, backward],
+                    confidence: Some([ahead, back]),
+                }
+            } else {
+                let error = at("flow", later.index);
+                let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
+                let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
+                PairFlows::of([forward, backward])
+            };
+        self.flow_work.pairs += 1;
         self.spent.flow += started.elapsed();
-        Ok([forward, backward])
+        Ok(Rc::new(flows))
+    }
+
+    /// The end-point error of the way there, earlier → later.
+    fn end_point(&mut self, to: u32, flows: &PairFlows) -> Result<EndPointError, ClipError> {
+        let started = Instant::now();
+        let [there, back] = &flows.ways;
+        let measured = EndPointError::new(there, back, &self.profile.consistency);
+        self.spent.signals += started.elapsed();
+        measured.map_err(at("consistency", to))
     }
 
     /// The evidence of a step of constant motion, earlier → later, where there is no edge.
@@ -256,7 +437,7 @@ impl<'a> Clip<'a> {
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
-        let [ahead, back] = flows.map(|flow| GridFlow::new(&flow, params).map_err(&error));
+        let [ahead, back] = [0, 1].map(|k| GridFlow::new(&flows.ways[k], params).map_err(&error));
         let (first, second) = (&earlier.normalised, &later.normalised);
         let evidence = Evidence::new(&ahead?, &back?, first, second, params).map_err(&error);
         self.spent.signals += started.elapsed();
@@ -265,13 +446,12 @@ impl<'a> Clip<'a> {
 
     /// Both flows between two frames, and the evidence on them.
     fn edge(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Edge, ClipError> {
-        let [forward, backward] = self.flows(earlier, later)?;
+        let flows = self.flows(earlier, later)?;
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
-        let end_point = EndPointError::new(&forward, &backward, params).map_err(&error)?;
-        let ahead = GridFlow::new(&forward, params).map_err(&error)?;
-        let back = GridFlow::new(&backward, params).map_err(&error)?;
+        let ahead = GridFlow::new(&flows.ways[0], params).map_err(&error)?;
+        let back = GridFlow::new(&flows.ways[1], params).map_err(&error)?;
         let evidence = |flow, other, first: &Prepared, second: &Prepared| {
             Evidence::new(flow, other, &first.normalised, &second.normalised, params)
                 .map_err(&error)
@@ -280,18 +460,11 @@ impl<'a> Clip<'a> {
             evidence(&ahead, &back, earlier, later)?,
             evidence(&back, &ahead, later, earlier)?,
         );
-        let structure = [
-            Structure::new(&change.forward, &earlier.normalised).map_err(&error)?,
-            Structure::new(&change.backward, &later.normalised).map_err(&error)?,
-        ];
         self.spent.signals += started.elapsed();
         Ok(Edge {
             from: earlier.index,
-            forward,
-            backward,
-            end_point,
+            flows,
             change,
-            structure,
         })
     }
 
@@ -305,6 +478,9 @@ impl<'a> Clip<'a> {
             None => {
                 let mut observers = Observers::new(self.profile, current.index)?;
                 observers.keep_maps(&self.views.wanted_maps);
+                if !self.views.all_faults {
+                    observers.only_what_the_row_shows(self.profile);
+                }
                 observers
             }
         };
@@ -316,7 +492,12 @@ impl<'a> Clip<'a> {
                 None => None,
                 Some(kept) => Some(match find(kept.index) {
                     Some(edge) => edge.change.forward.clone(),
-                    None => self.step_evidence(kept, current)?,
+                    None => {
+                        let span = current.index - kept.index;
+                        let is_edge = self.profile.edge_spans.contains(&span);
+                        self.flow_work.pairs_in_full += u64::from(!is_edge);
+                        self.step_evidence(kept, current)?
+                    }
                 }),
             };
             observers.step(Rc::clone(current), evidence)?;
@@ -326,14 +507,20 @@ impl<'a> Clip<'a> {
     }
 
     /// End-point errors and signals of an adjacent pair.
-    fn photometric(&mut self, later: &Prepared, edge: &Edge) -> Result<(), ClipError> {
+    fn photometric(
+        &mut self,
+        [earlier, later]: [&Prepared; 2],
+        edge: &Edge,
+        end_point: &EndPointError,
+    ) -> Result<(), ClipError> {
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
-        let worldscore = worldscore_epe(&edge.forward, &edge.backward).map_err(&error)?;
+        let [forward, backward] = &edge.flows.ways;
+        let worldscore = worldscore_epe(forward, backward).map_err(&error)?;
         let signals = PairSignals::new(
             &edge.change.forward,
-            &edge.end_point,
+            end_point,
             &worldscore,
             params,
             &self.profile.signals,
@@ -345,7 +532,7 @@ impl<'a> Clip<'a> {
         let worst = signals.aepe_px.filter(is_worst);
         if worst.is_some() || self.views.error_maps {
             // The map of the way back lies on the later frame, which is the one shown.
-            let back = EndPointError::new(&edge.backward, &edge.forward, params).map_err(&error)?;
+            let back = EndPointError::new(backward, forward, params).map_err(&error)?;
             let shown = |error_px: &Option<f32>| error_px.unwrap_or(0.0);
             let heat = Plane {
                 width: back.width,
@@ -364,11 +551,15 @@ impl<'a> Clip<'a> {
                 });
             }
         }
+        let structure = [
+            Structure::new(&edge.change.forward, &earlier.normalised).map_err(&error)?,
+            Structure::new(&edge.change.backward, &later.normalised).map_err(&error)?,
+        ];
         self.pairs.push(Pair {
             frame: later.index,
             signals,
             corresponding_fraction: Structure::corresponding_fraction(
-                edge.structure,
+                structure,
                 self.profile.verdict.min_structured_fraction,
             ),
         });
@@ -376,46 +567,21 @@ impl<'a> Clip<'a> {
         Ok(())
     }
 
-    /// Motion models of one edge; each correspondence weighs by how well the two directions agree.
-    fn geometric(&mut self, to: u32, edge: &Edge) -> Result<(), ClipError> {
-        let Some(solver) = &mut self.solver else {
-            return Ok(());
-        };
+    /// Work on the motion models, timed.
+    fn geometric(
+        &mut self,
+        work: impl FnOnce(&mut Edges<'a>) -> Result<(), ClipError>,
+    ) -> Result<(), ClipError> {
         let started = Instant::now();
-        let (width, height) = (edge.forward.width, edge.forward.height);
-        let unit_px = self.profile.consistency.reference_height_px / height as f64;
-        let weight_at = |x: usize, y: usize| {
-            let error_px = f64::from(edge.end_point.error_px[y * width + x]?);
-            Some((1.0 / (1.0 + error_px * error_px)).max(LEAST_WEIGHT))
-        };
-        let error = at("geometry", to);
-        let field =
-            sample_grid(&edge.forward, unit_px, &self.profile.grid, weight_at).map_err(&error)?;
-        let judged = solver.edge(EdgeInput {
-            from_frame: edge.from as usize,
-            to_frame: to as usize,
-            field,
-        });
-        match judged {
-            // Too little in frame to judge this edge; the others may do.
-            Ok(()) | Err(SceneError::TooFewCells { .. }) => {}
-            Err(source) => return Err(error(source)),
-        }
-        let flows = [&edge.forward, &edge.backward];
-        self.dense
-            .edge(edge.from, to, flows, self.profile.grid.step)
-            .map_err(at("geometry", to))?;
+        let done = work(&mut self.edges);
         self.spent.geometry += started.elapsed();
-        Ok(())
+        done
     }
 
     /// The clip's row.
     pub(super) fn finish(&mut self, info: &VideoInfo) -> Measurement {
         let started = Instant::now();
-        let geometry = match (self.solver.take(), self.geometry_problem.take()) {
-            (Some(solver), _) => std::mem::take(&mut self.dense).settle(solver, self.profile),
-            (None, problem) => Err(problem.unwrap_or(SceneError::NoEdges)),
-        };
+        let geometry = self.edges.settle();
         let layers = geometry.as_ref().ok().map(|(geometry, _)| {
             clip_layers(geometry, &self.profile.two_view.gric, &self.profile.layers)
         });
@@ -446,7 +612,24 @@ impl<'a> Clip<'a> {
             fill::observed(&mut row, &observed);
             self.faults = observed.faults;
         }
+        let (learned, problem) = std::mem::take(&mut self.learned).finish();
+        self.spent.learned = learned.work;
+        fill::learned(&mut row, &learned, self.profile);
+        self.tracked = learned.residuals;
         (row.status, row.status_reason) = self.verdict();
+        if row.status == Status::Scored
+            && let Some(problem) = problem
+        {
+            row.status = problem.status();
+            row.status_reason = Some(problem.to_string());
+        }
+        if row.status == Status::Scored
+            && self.profile.droid.is_some()
+            && row.reproj_droid_px.is_none()
+        {
+            row.status = Status::Failed;
+            row.status_reason = Some("3D consistency: nothing lies before the camera".into());
+        }
         if row.status == Status::Scored && row.reproj_px.is_none() && row.aepe_px.is_none() {
             row.status = Status::Failed;
             row.status_reason = Some("no frame pair could be measured".into());

@@ -1,12 +1,15 @@
 //! From what was measured to the columns of the row.
 
 use plumbline_common::row::{GeometryMethod, Measurement, Scene, Series};
-use plumbline_vision::scene::{ClipGeometry, ClipLayers, Method, SceneKind};
+use plumbline_vision::scene::clip::series;
+use plumbline_vision::scene::{ClipGeometry, ClipLayers, FrameResidual, Method, SceneKind};
 use plumbline_vision::signals::arc::ArcStep;
 use plumbline_vision::signals::{PairSignals, median};
 
 use super::assess::assess;
+use super::learned::{LearnedResult, consistency_3d, consistency_photometric};
 use super::observers::Observed;
+use crate::profile::Profile;
 
 /// P and T of a clip are medians; fewer defined pairs are no evidence.
 const MIN_DEFINED_PAIRS: usize = 3;
@@ -53,8 +56,13 @@ pub(super) fn geometric(row: &mut Measurement, geometry: &ClipGeometry, warmup_f
         Method::DenseAdjustment => GeometryMethod::DenseAdjustment,
     });
     row.reproj_px = Some(geometry.residual_px);
-    let mut series = Vec::with_capacity(geometry.series.len());
-    for residual in &geometry.series {
+    residuals(row, &geometry.series, warmup_frames);
+}
+
+/// Fills in e_t, and the paper's assessment of it.
+fn residuals(row: &mut Measurement, found: &[FrameResidual], warmup_frames: u32) {
+    let mut series = Vec::with_capacity(found.len());
+    for residual in found {
         series.push((residual.frame as u32, residual.residual_px));
         if let Some(place) = place(row, residual.frame) {
             row.series.reproj_px[place] = Some(residual.residual_px);
@@ -66,6 +74,33 @@ pub(super) fn geometric(row: &mut Measurement, geometry: &ClipGeometry, warmup_f
     row.max_jump = assessment.max_jump;
     row.paper_peak_frame = assessment.peak_frame;
     row.peak_reliable = assessment.peak_reliable;
+}
+
+/// Fills in what learned networks found. e_t, t* and the series behind s_p are then theirs, in their units.
+pub(super) fn learned(row: &mut Measurement, found: &LearnedResult, profile: &Profile) {
+    if let Some(pairs) = &found.end_point_px {
+        row.series.aepe_worldscore_px.fill(None);
+        for &(frame, px) in pairs {
+            if let Some(place) = place(row, frame as usize) {
+                row.series.aepe_worldscore_px[place] = Some(px);
+            }
+        }
+        row.aepe_worldscore_px = mean(&row.series.aepe_worldscore_px);
+        row.worldscore_photometric = row.aepe_worldscore_px.map(consistency_photometric);
+    }
+    if let Some(edges) = &found.residuals {
+        row.series.reproj_px.fill(None);
+        row.series.reproj_cells.fill(0);
+        residuals(row, &series(edges), profile.warmup_frames);
+    }
+    row.reproj_droid_px = found.reprojection_cells;
+    row.worldscore_3d = found.reprojection_cells.map(consistency_3d);
+    let [sea_raft, droid] = profile.models();
+    let named = [("sea-raft", sea_raft), ("droid", droid)];
+    let named = named
+        .iter()
+        .filter_map(|(name, digest)| Some(format!("{name} {}", (*digest)?)));
+    row.models = Some(named.collect::<Vec<_>>().join(", ")).filter(|models| !models.is_empty());
 }
 
 /// Fills in what rigid layers leave.

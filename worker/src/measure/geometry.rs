@@ -5,17 +5,17 @@
 //! all frames are keyframes. A static or turning camera costs this sampling and nothing more. Clips of
 //! more than [`MOST_CELLS`] depths keep the two-view models, and `reproj_method` says so.
 
-use plumbline_vision::flow::Flow;
 use plumbline_vision::scene::{
     AdjustedEdge, ClipGeometry, MotionModel, RigidSolver, SceneError, TwoViewSolver,
 };
-use plumbline_vision::slam::camera::Pinhole;
-use plumbline_vision::slam::flow_operator::{FlowOperatorError, grid_of, sample_flow};
+use plumbline_vision::slam::camera::{Grid, Pinhole};
+use plumbline_vision::slam::flow_operator::{FlowOperatorError, GridAnswer};
 use plumbline_vision::slam::intrinsics::Intrinsics;
 use plumbline_vision::slam::tracker::{
     EdgeResidual, FlowEdge, FlowGraph, MOST_CELLS, Solution, TrackError, solve,
 };
 
+use super::network_flow::Confidence;
 use crate::profile::Profile;
 
 /// A clip's correspondences while it streams by.
@@ -41,18 +41,18 @@ impl DenseGraph {
         self.sizes = [video, working];
     }
 
-    /// Takes an edge, earlier to later frame, and its way back.
+    /// Takes an edge, earlier to later frame, and its way back: where the cells of `grid` are, which is not
+    /// asked for where the clip is too long for an adjustment.
     pub(super) fn edge(
         &mut self,
         from: u32,
         to: u32,
-        [forward, backward]: [&Flow; 2],
-        step: usize,
+        grid: Grid,
+        answers: impl FnOnce() -> Result<[GridAnswer; 2], FlowOperatorError>,
     ) -> Result<(), FlowOperatorError> {
         if self.too_long {
             return Ok(());
         }
-        let grid = grid_of(forward.width, forward.height, step);
         let graph = self.graph.get_or_insert_with(|| FlowGraph::new(grid));
         let [source, target] = [from, to].map(|frame| slot(graph, frame as usize));
         if graph.frames.len() * grid.cells() > MOST_CELLS {
@@ -60,17 +60,37 @@ impl DenseGraph {
             graph.edges.clear();
             return Ok(());
         }
-        for (source, target, there, back) in [
-            (source, target, forward, backward),
-            (target, source, backward, forward),
-        ] {
+        let [there, back] = answers()?;
+        for (source, target, answer) in [(source, target, there), (target, source, back)] {
             graph.edges.push(FlowEdge {
                 source,
                 target,
-                answer: sample_flow(there, back, step)?,
+                answer,
             });
         }
         Ok(())
+    }
+
+    /// A graph without edges for the same pictures.
+    pub(super) fn anew(&self) -> Self {
+        Self {
+            graph: None,
+            sizes: self.sizes,
+            too_long: self.too_long,
+        }
+    }
+
+    /// Takes an edge out; `None` without it.
+    pub(super) fn take(&mut self, from: u32, to: u32) -> Option<(Grid, [GridAnswer; 2])> {
+        let graph = self.graph.as_mut()?;
+        let place = |frame: u32| graph.frames.binary_search(&(frame as usize)).ok();
+        let (source, target) = (place(from)?, place(to)?);
+        let mut edge = |source, target| {
+            let mut edges = graph.edges.iter();
+            let place = edges.position(|e| (e.source, e.target) == (source, target))?;
+            Some(graph.edges.swap_remove(place).answer)
+        };
+        Some((graph.grid, [edge(source, target)?, edge(target, source)?]))
     }
 
     /// The clip's geometry: by the cheapest model that is sufficient.
@@ -117,6 +137,16 @@ impl DenseGraph {
     }
 }
 
+/// Multiplies weights by the confidence at their cells.
+pub(super) fn weigh(answer: &mut GridAnswer, confidence: &Confidence, grid: Grid, step: usize) {
+    for (n, weight) in answer.weight.iter_mut().enumerate() {
+        let cell = n % grid.cells();
+        let x = step / 2 + cell % grid.columns * step;
+        let y = step / 2 + cell / grid.columns * step;
+        *weight *= confidence.data[y * confidence.width + x];
+    }
+}
+
 /// The slot of a frame; edges come in the order of their later frame, so that new frames are last.
 fn slot(graph: &mut FlowGraph, frame: usize) -> usize {
     match graph.frames.binary_search(&frame) {
@@ -159,7 +189,9 @@ fn edge_of(graph: &FlowGraph, residual: &EdgeResidual) -> AdjustedEdge {
 
 #[cfg(test)]
 mod tests {
+    use plumbline_vision::flow::Flow;
     use plumbline_vision::scene::{EdgeInput, Method, SceneKind};
+    use plumbline_vision::slam::flow_operator::{grid_of, sample_flow};
 
     use super::*;
     use crate::profile::Rung;
@@ -192,8 +224,11 @@ mod tests {
             for from in to.saturating_sub(2)..to {
                 let moved = moved * f64::from(to - from);
                 let (there, back) = (flow(moved), flow(-moved));
-                dense.edge(from, to, [&there, &back], step).unwrap();
                 let answer = sample_flow(&there, &back, step).unwrap();
+                let opposite = sample_flow(&back, &there, step).unwrap();
+                let both = || Ok([answer.clone(), opposite]);
+                let grid = grid_of(SIDE, SIDE, step);
+                dense.edge(from, to, grid, both).unwrap();
                 let edge = EdgeInput {
                     from_frame: from as usize,
                     to_frame: to as usize,
@@ -242,6 +277,29 @@ mod tests {
         assert_eq!(work.depth_cells, 6 * 1024);
         // Nothing moves, so that nothing is left by any model.
         assert!(forced.residual_px < 1e-3, "{}", forced.residual_px);
+    }
+
+    /// Cells 4 px apart, the first at 2.
+    #[test]
+    fn confidence_is_read_at_the_cells() {
+        let grid = grid_of(16, 12, 4);
+        let mut answer = GridAnswer {
+            at: vec![0.0; 2 * grid.cells()],
+            weight: vec![0.5; 2 * grid.cells()],
+        };
+        let confidence = Confidence {
+            width: 16,
+            height: 12,
+            data: (0..16 * 12).map(|n| n as f32).collect(),
+        };
+        weigh(&mut answer, &confidence, grid, 4);
+        let (columns, cells) = (grid.columns, grid.cells());
+        let expected =
+            |cell: usize| 0.5 * ((2 + cell / columns * 4) * 16 + 2 + cell % columns * 4) as f32;
+        for cell in 0..cells {
+            assert_eq!(answer.weight[cell], expected(cell));
+            assert_eq!(answer.weight[cells + cell], expected(cell));
+        }
     }
 
     #[test]

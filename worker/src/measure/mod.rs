@@ -7,9 +7,12 @@
 
 mod assess;
 mod clip;
+mod edges;
 mod fill;
 pub mod frames;
 mod geometry;
+mod learned;
+mod network_flow;
 mod observers;
 pub(crate) mod read;
 mod thumbnail;
@@ -28,6 +31,7 @@ use plumbline_vision::scene::AdjustedEdge;
 use serde::{Deserialize, Serialize};
 
 use crate::decode::{DecodeError, DecodedFrame, VideoInfo};
+use crate::learned::{Loaded, ModelPlaces, Networks};
 use crate::profile::Profile;
 pub(crate) use clip::working_picture;
 use clip::{Clip, ClipError};
@@ -71,7 +75,29 @@ pub(crate) struct View<'a> {
 /// # Errors
 /// [`MeasureError`], when the job is wrong.
 pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
-    Ok(measure_in_detail(job, None, None)?.outcome)
+    let mut models = Models {
+        loaded: &mut Loaded::default(),
+        places: None,
+    };
+    measure_copy(job, None, &mut models)
+}
+
+/// The networks that a child has, and where it finds those that a job needs.
+pub(crate) struct Models<'a> {
+    pub(crate) loaded: &'a mut Loaded,
+    pub(crate) places: Option<&'a ModelPlaces>,
+}
+
+/// As [`measure`]; an object by its copy on this machine.
+///
+/// # Errors
+/// [`MeasureError`], when the job is wrong.
+pub(crate) fn measure_copy(
+    job: &Job,
+    copy: Option<&Path>,
+    models: &mut Models<'_>,
+) -> Result<Outcome, MeasureError> {
+    Ok(measured(job, copy, models, None, false)?.outcome)
 }
 
 /// Measures one video and gives what is behind the row, too; an object by its copy on this machine.
@@ -81,38 +107,74 @@ pub fn measure(job: &Job) -> Result<Outcome, MeasureError> {
 pub(crate) fn measure_in_detail(
     job: &Job,
     copy: Option<&Path>,
+    models: &mut Models<'_>,
+    view: Option<View<'_>>,
+) -> Result<Detailed, MeasureError> {
+    measured(job, copy, models, view, true)
+}
+
+fn measured(
+    job: &Job,
+    copy: Option<&Path>,
+    models: &mut Models<'_>,
     mut view: Option<View<'_>>,
+    in_detail: bool,
 ) -> Result<Detailed, MeasureError> {
     let profile: Profile = serde_json::from_slice(&job.profile)?;
     let (started, cpu_started) = (Instant::now(), cpu_time());
-    let mut clip = Clip::new(&profile);
+    let (networks, missing) = match models.loaded.networks(&profile, models.places) {
+        Ok(networks) => (networks, None),
+        Err(error) => (Networks::default(), Some(error)),
+    };
+    let mut clip = Clip::new(&profile, networks);
+    if in_detail {
+        clip.keep_faults();
+    }
     if let Some(view) = &mut view {
         clip.keep_views(std::mem::take(&mut view.wanted_maps));
     }
     let mut times_s = Vec::new();
     let mut cost = Cost::default();
     let input = Input::open(job, copy, &profile.limits);
-    let measurement = match &input {
-        Ok(input) => {
+    let measurement = match (&input, missing) {
+        (Ok(_), Some(missing)) => Measurement::without_score(Status::Failed, missing.to_string()),
+        (Ok(input), None) => {
             let mut row = match stream(input, &profile, &mut clip, &mut times_s, view) {
                 Ok(info) => clip.finish(&info),
                 Err(refused) => refused.row(),
             };
             row.digest = Some(input.digest.clone());
-            row.bytes = Some(job.bytes);
+            row.bytes = Some(job.bytes_read());
             row
         }
-        Err(error) => error.row(job),
+        (Err(error), _) => error.row(job),
     };
     cost.total_s = started.elapsed().as_secs_f64();
     cost.cpu_s = cpu_time().saturating_sub(cpu_started).as_secs_f64();
     cost.flow_s = clip.spent.flow.as_secs_f64();
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
+    cost.flow_pairs = clip.flow_work.pairs;
+    cost.flow_pairs_saved = clip
+        .flow_work
+        .pairs_in_full
+        .saturating_sub(clip.flow_work.pairs);
+    cost.frames_repeated = clip.flow_work.frames_repeated;
+    cost.photometric_s = clip.spent.learned.photometric.as_secs_f64();
+    cost.tracking_s = clip.spent.learned.tracking.as_secs_f64();
+    cost.edge_updates = clip.spent.learned.edge_updates;
+    cost.peak_memory_mib = peak_memory_mib();
     cost.adjustment_steps = clip.dense_work.steps as u64;
     cost.depth_cells = clip.dense_work.depth_cells as u64;
     cost.depth_cells_saved = clip.dense_work.depth_cells_saved as u64;
-    cost.decode_s = (cost.total_s - cost.flow_s - cost.signals_s - cost.geometry_s).max(0.0);
+    let stages = [
+        cost.flow_s,
+        cost.signals_s,
+        cost.geometry_s,
+        cost.photometric_s,
+        cost.tracking_s,
+    ];
+    cost.decode_s = (cost.total_s - stages.iter().sum::<f64>()).max(0.0);
     let worst_edge = clip.take_worst_edge(measurement.paper_peak_frame);
     Ok(Detailed {
         outcome: Outcome {
@@ -133,6 +195,14 @@ fn cpu_time() -> Duration {
     Duration::try_from(clock_gettime(ClockId::ProcessCPUTime)).unwrap_or_default()
 }
 
+/// The most memory that this process has had so far, whatever video it was for; 0 where the system does not say.
+fn peak_memory_mib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = peak.and_then(|peak| peak.split_whitespace().next()?.parse::<u64>().ok());
+    kib.unwrap_or(0) / 1024
+}
+
 /// Why a readable video gives no numbers.
 enum Refused {
     Decode(DecodeError),
@@ -146,6 +216,7 @@ fn stream(
     times_s: &mut Vec<f64>,
     mut view: Option<View<'_>>,
 ) -> Result<VideoInfo, Refused> {
+    check_length(input, profile)?;
     let mut refused = None;
     let info = input.decode(profile, &mut |frame| {
         times_s.push(frame.time_s);
@@ -161,10 +232,44 @@ fn stream(
             }
         }
     });
-    match (info, refused) {
-        (_, Some(error)) => Err(Refused::Clip(error)),
-        (Err(error), None) => Err(Refused::Decode(error)),
-        (Ok(info), None) => Ok(info),
+    let info = match (info, refused) {
+        (_, Some(error)) => return Err(Refused::Clip(error)),
+        (Err(error), None) => return Err(Refused::Decode(error)),
+        (Ok(info), None) => info,
+    };
+    if clip.need_second_look().map_err(Refused::Clip)? {
+        second_look(input, profile, clip)?;
+    }
+    Ok(info)
+}
+
+/// Decodes the clip once more, for edges that turned out to need flows of their own: to keep the frames of a
+/// long clip until that is known would take memory without bound.
+fn second_look(input: &Input, profile: &Profile, clip: &mut Clip<'_>) -> Result<(), Refused> {
+    let mut refused = None;
+    let decoded = input.decode(profile, &mut |frame| match clip.push_again(&frame) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(error) => {
+            refused = Some(error);
+            ControlFlow::Break(())
+        }
+    });
+    match refused {
+        Some(error) => Err(Refused::Clip(error)),
+        None => decoded.map(|_| ()).map_err(Refused::Decode),
+    }
+}
+
+/// Counts the frames first where each takes minutes: a clip that is too long is refused at once.
+fn check_length(input: &Input, profile: &Profile) -> Result<(), Refused> {
+    let Some(droid) = &profile.droid else {
+        return Ok(());
+    };
+    let counted = input.decode(profile, &mut |_| ControlFlow::Continue(()));
+    let (frames, most) = (counted.map_err(Refused::Decode)?.frames, droid.most_frames);
+    match frames > most {
+        true => Err(Refused::Clip(ClipError::TooLong { frames, most })),
+        false => Ok(()),
     }
 }
 
@@ -172,10 +277,7 @@ impl Refused {
     fn row(&self) -> Measurement {
         match self {
             Self::Decode(error) => Measurement::without_score(status_of(error), error.to_string()),
-            Self::Clip(error @ ClipError::Aspect { .. }) => {
-                Measurement::without_score(Status::OverLimit, error.to_string())
-            }
-            Self::Clip(error) => Measurement::without_score(Status::Failed, error.to_string()),
+            Self::Clip(error) => Measurement::without_score(error.status(), error.to_string()),
         }
     }
 }
@@ -189,10 +291,13 @@ impl ReadError {
     pub(crate) fn row(&self, job: &Job) -> Measurement {
         let status = match self {
             Self::Decode(error) => status_of(error),
-            Self::Changed { .. } | Self::NotRead { .. } | Self::Profile(_) => Status::Failed,
+            Self::Outside { .. } => Status::Undecodable,
+            Self::Changed { .. } | Self::NotRead { .. } | Self::Profile(_) | Self::Models(_) => {
+                Status::Failed
+            }
         };
         let mut row = Measurement::without_score(status, self.to_string());
-        row.bytes = Some(job.bytes);
+        row.bytes = Some(job.bytes_read());
         row
     }
 }

@@ -53,6 +53,21 @@ impl Observers {
         self.faults.keep_maps(wanted);
     }
 
+    /// Leaves scores out that can be neither an event nor a verdict of the row; they are recorded as 0.
+    pub(super) fn only_what_the_row_shows(&mut self, profile: &Profile) {
+        // Without flows across a frame there is no V, however small.
+        if profile.edge_spans.contains(&2) {
+            let reported = profile.fault_thresholds.bad_frame.unwrap_or(f64::INFINITY);
+            let least = reported.min(profile.verdict.max_bad_frame);
+            self.faults.leave_out_bad_frames_below(least);
+        }
+    }
+
+    /// Whether the frame before the one that `adjacent` leads to may be bad: what the flow across it decides.
+    pub(super) fn may_be_bad(&self, adjacent: &Edge) -> bool {
+        self.faults.may_be_bad(&adjacent.change)
+    }
+
     /// Takes the next frame with its edges to the frame before and to the one before that.
     pub(super) fn frame(
         &mut self,

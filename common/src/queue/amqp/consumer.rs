@@ -1,15 +1,18 @@
 //! Receiving from a RabbitMQ queue, through broken connections and restarted brokers.
 
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use async_trait::async_trait;
 use futures_util::StreamExt;
 use lapin::options::{BasicAckOptions, BasicCancelOptions, BasicConsumeOptions, BasicQosOptions};
 use lapin::types::FieldTable;
 use lapin::{Acker, Channel, ChannelStatus};
+use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
 use super::failure::Failure;
+use super::session::{Session, to_its_end};
 use super::wire;
 use super::{AmqpBroker, PATIENCE};
 use crate::observe::Pulse;
@@ -21,6 +24,9 @@ pub(super) struct AmqpConsumer {
     queue: Queue,
     slots: u16,
     open: Option<Open>,
+    /// The next subscription, on its way on a task of its own: whoever waits for a message may stop waiting
+    /// at any time, as often as it likes, and a subscription takes what time it takes.
+    subscribing: JoinSet<Result<Open, QueueError>>,
     status: Status,
     /// Failures since the last delivery.
     failures: u32,
@@ -51,10 +57,11 @@ impl AmqpConsumer {
             queue,
             slots,
             open: None,
+            subscribing: JoinSet::new(),
             status: Status::default(),
             failures: 0,
         };
-        consumer.open = Some(consumer.subscribe().await?);
+        consumer.opened().await?;
         Ok(consumer)
     }
 
@@ -62,47 +69,68 @@ impl AmqpConsumer {
         *self.status.lock().unwrap_or_else(PoisonError::into_inner) = status;
     }
 
-    async fn subscribe(&self) -> Result<Open, QueueError> {
-        let name = &self.broker.names().queue(&self.queue);
-        let open = self
-            .broker
-            .retried(&self.queue.to_string(), |session| {
-                async move {
-                    let channel = session.channel().await?;
-                    // On every channel anew, and before the subscription: else the broker hands out
-                    // all it has.
-                    channel
-                        .basic_qos(self.slots, BasicQosOptions::default())
-                        .await?;
-                    let stream = channel
-                        .basic_consume(
-                            name.as_str().into(),
-                            ANY_TAG.into(),
-                            BasicConsumeOptions::default(),
-                            FieldTable::default(),
-                        )
-                        .await?;
-                    Ok(Open { stream, channel })
-                }
-            })
-            .await?;
+    /// The subscription, or the next one where there is none. May be cancelled without loss.
+    async fn opened(&mut self) -> Result<&mut Open, QueueError> {
+        let open = match self.open.take() {
+            Some(open) => open,
+            None => self.subscribed().await?,
+        };
+        Ok(self.open.insert(open))
+    }
+
+    /// The subscription that is on its way, or that is begun now.
+    async fn subscribed(&mut self) -> Result<Open, QueueError> {
+        if self.subscribing.is_empty() {
+            self.subscribe_after(Duration::ZERO);
+        }
+        let open = match self.subscribing.join_next().await {
+            Some(Ok(subscribed)) => subscribed?,
+            // None: never, since one was begun.
+            broken @ (Some(Err(_)) | None) => {
+                let failure =
+                    Failure::Passing(format!("subscribing broke down: {broken:?}").into());
+                return Err(self.broker.error(failure, &self.queue.to_string(), 1));
+            }
+        };
         self.set_status(Some(open.channel.status().clone()));
         Ok(open)
     }
+
+    /// Begins a subscription after so long.
+    fn subscribe_after(&mut self, wait: Duration) {
+        let (broker, queue, slots) = (self.broker.clone(), self.queue.clone(), self.slots);
+        self.subscribing.spawn(async move {
+            sleep(wait).await;
+            let name = broker.names().queue(&queue);
+            broker
+                .retried(&queue.to_string(), |session| {
+                    to_its_end(subscribe(session, name.clone(), slots))
+                })
+                .await
+        });
+    }
+}
+
+async fn subscribe(session: Arc<Session>, queue: String, slots: u16) -> Result<Open, Failure> {
+    let channel = session.channel().await?;
+    // On every channel anew, and before the subscription: else the broker hands out all it has.
+    channel.basic_qos(slots, BasicQosOptions::default()).await?;
+    let stream = channel
+        .basic_consume(
+            queue.into(),
+            ANY_TAG.into(),
+            BasicConsumeOptions::default(),
+            FieldTable::default(),
+        )
+        .await?;
+    Ok(Open { stream, channel })
 }
 
 #[async_trait]
 impl Consumer for AmqpConsumer {
     async fn next(&mut self) -> Result<Delivery, QueueError> {
         loop {
-            let open = match &mut self.open {
-                Some(open) => open,
-                None => {
-                    let open = self.subscribe().await?;
-                    self.open.insert(open)
-                }
-            };
-            let failure = match open.stream.next().await {
+            let failure = match self.opened().await?.stream.next().await {
                 // Buffered from a channel that is closed: it comes again, so no work is begun on it.
                 Some(Ok(delivery)) if !delivery.acker.usable() => continue,
                 Some(Ok(mut delivery)) => {
@@ -145,7 +173,7 @@ impl Consumer for AmqpConsumer {
             ) {
                 (Failure::Passing(source), Some(wait)) => {
                     tracing::info!(queue = %self.queue, %source, "subscribing anew");
-                    sleep(wait).await;
+                    self.subscribe_after(wait);
                 }
                 (failure, _) => {
                     return Err(self
@@ -158,6 +186,7 @@ impl Consumer for AmqpConsumer {
 
     async fn stop(&mut self) {
         self.set_status(None);
+        self.subscribing = JoinSet::new();
         let Some(open) = &self.open else {
             return;
         };

@@ -47,12 +47,59 @@ impl From<Error> for Failure {
             _ => return Self::Passing(error.into()),
         };
         match kind {
+            AMQPErrorKind::Soft(AMQPSoftError::NOTFOUND) if is_there(&error.to_string()) => {
+                Self::Passing(error.into())
+            }
             AMQPErrorKind::Soft(AMQPSoftError::NOTFOUND) => Self::Missing,
             AMQPErrorKind::Soft(AMQPSoftError::RESOURCELOCKED) => Self::Locked,
             AMQPErrorKind::Soft(AMQPSoftError::PRECONDITIONFAILED) => Self::Mismatch(error.into()),
             AMQPErrorKind::Soft(AMQPSoftError::ACCESSREFUSED)
             | AMQPErrorKind::Hard(AMQPHardError::NOTALLOWED) => Self::Refused(error.into()),
             _ => Self::Passing(error.into()),
+        }
+    }
+}
+
+/// Whether the broker says of a queue that is there that it cannot be had just now: RabbitMQ's code for that is
+/// the same as for none at all (`rabbit_amqqueue`, 3.10.8), and a job whose results queue is none is dropped.
+fn is_there(said: &str) -> bool {
+    [
+        "down or inaccessible",
+        "due to timeout",
+        "stopped by supervisor",
+        "crashed and failed to restart",
+    ]
+    .iter()
+    .any(|words| said.contains(words))
+}
+
+#[cfg(test)]
+mod tests {
+    use lapin::protocol::AMQPError;
+
+    use super::*;
+
+    #[test]
+    fn a_queue_that_is_down_is_not_missing() {
+        let failure = |said: &str| {
+            let kind = AMQPErrorKind::Soft(AMQPSoftError::NOTFOUND);
+            let said = format!("NOT_FOUND - {said}");
+            Failure::from(Error::from(ErrorKind::ProtocolError(AMQPError::new(
+                kind,
+                said.as_str().into(),
+            ))))
+        };
+        assert!(matches!(
+            failure("no queue 'a' in vhost '/'"),
+            Failure::Missing
+        ));
+        for down in [
+            "home node 'a@b' of durable queue 'a' in vhost '/' is down or inaccessible",
+            "failed to perform operation on queue 'a' in vhost '/' due to timeout",
+            "queue 'a' in vhost '/' process is stopped by supervisor",
+            "queue 'a' in vhost '/' has crashed and failed to restart",
+        ] {
+            assert!(matches!(failure(down), Failure::Passing(_)), "{down}");
         }
     }
 }

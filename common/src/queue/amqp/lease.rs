@@ -6,9 +6,11 @@ use lapin::options::{BasicConsumeOptions, QueueDeclareOptions};
 use lapin::types::FieldTable;
 use lapin::uri::AMQPUri;
 use lapin::{Channel, Connection};
+use tokio::time::timeout;
 
+use super::PATIENCE;
 use super::failure::Failure;
-use super::session::{REPLY_SUCCESS, connect};
+use super::session::{REPLY_SUCCESS, connect, to_its_end};
 use crate::queue::Lease;
 
 #[derive(Debug)]
@@ -21,9 +23,15 @@ pub(super) struct AmqpLease {
 }
 
 impl AmqpLease {
-    /// Takes it; [`Failure::Locked`] while another connection holds it.
+    /// Takes it; [`Failure::Locked`] while another connection holds it. Given up, it does not stay with a
+    /// connection that nobody knows.
     pub(super) async fn take(uri: &AMQPUri, queue: &str) -> Result<Self, Failure> {
-        let connection = connect(uri).await?;
+        to_its_end(Self::taken(uri.clone(), queue.to_owned())).await
+    }
+
+    async fn taken(uri: AMQPUri, queue: String) -> Result<Self, Failure> {
+        let queue = queue.as_str();
+        let connection = connect(&uri).await?;
         let channel = connection.create_channel().await?;
         channel
             .queue_declare(
@@ -55,10 +63,9 @@ impl Lease for AmqpLease {
     }
 
     async fn release(self: Box<Self>) {
-        // A connection that cannot be closed is gone already.
-        let _gone = self
-            .connection
-            .close(REPLY_SUCCESS, "released".into())
-            .await;
+        let closing = self.connection.close(REPLY_SUCCESS, "released".into());
+        // A connection that cannot be closed is gone already. There are no heartbeats while it closes: one
+        // that has fallen silent would never be.
+        let _gone = timeout(PATIENCE, closing).await;
     }
 }

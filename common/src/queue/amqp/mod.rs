@@ -10,6 +10,7 @@ mod wire;
 
 use std::future::Future;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -85,6 +86,8 @@ struct Shared {
     names: Names,
     options: AmqpOptions,
     session: Mutex<Option<Arc<Session>>>,
+    /// Connections that did not come about, so far.
+    not_opened: AtomicU64,
 }
 
 impl AmqpBroker {
@@ -116,6 +119,7 @@ impl AmqpBroker {
                 names,
                 options,
                 session: Mutex::default(),
+                not_opened: AtomicU64::new(0),
             }),
         };
         broker.retried("", |_connected| async { Ok(()) }).await?;
@@ -134,15 +138,24 @@ impl AmqpBroker {
         failure.of(queue.to_owned(), self.shared.address.clone(), attempts)
     }
 
-    /// The connection in use, or a new one; others wait meanwhile rather than open their own.
+    /// The connection in use, or a new one; others wait meanwhile rather than open their own, and share its
+    /// failure: else each of hundreds would wait for the silence of a broker, one after the other.
     async fn session(&self) -> Result<Arc<Session>, Failure> {
+        let not_opened = &self.shared.not_opened;
+        let before = not_opened.load(Ordering::SeqCst);
         let mut current = self.shared.session.lock().await;
         if let Some(session) = current.as_ref().filter(|session| session.is_alive()) {
             return Ok(Arc::clone(session));
         }
         *current = None;
+        if not_opened.load(Ordering::SeqCst) != before {
+            return Err(Failure::Passing("no connection came about".into()));
+        }
         let opening = Session::open(&self.shared.uri, self.names(), &self.options().waits);
-        let session = Arc::new(patiently(opening).await?);
+        let opened = patiently(opening).await;
+        let session = Arc::new(opened.inspect_err(|_failure| {
+            not_opened.fetch_add(1, Ordering::SeqCst);
+        })?);
         *current = Some(Arc::clone(&session));
         Ok(session)
     }

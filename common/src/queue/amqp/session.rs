@@ -149,3 +149,15 @@ pub(super) async fn connect(uri: &AMQPUri) -> Result<Connection, Failure> {
     let properties = ConnectionProperties::default().with_connection_name("plumbline".into());
     Ok(Connection::connect_uri(uri.clone(), properties).await?)
 }
+
+/// Does a call to its end, also where nobody waits for it any more. The client forgets a subscription whose
+/// future is dropped before the broker has confirmed it, and keeps its channel open; the broker would then
+/// hand it messages that nobody ever reads.
+pub(super) async fn to_its_end<T: Send + 'static>(
+    call: impl Future<Output = Result<T, Failure>> + Send + 'static,
+) -> Result<T, Failure> {
+    match tokio::spawn(call).await {
+        Ok(done) => done,
+        Err(broken) => Err(Failure::Passing(broken.into())),
+    }
+}

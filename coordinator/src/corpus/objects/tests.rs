@@ -7,7 +7,9 @@ use plumbline_common::store::DirStore;
 use tempfile::TempDir;
 
 use super::*;
-use crate::corpus::{GroupBy, Listing, freeze, freeze_anywhere};
+use plumbline_common::message::Location;
+
+use crate::corpus::{Choice, Listing, freeze, freeze_anywhere};
 
 /// Directories in the place of buckets.
 struct Directories(TempDir);
@@ -36,7 +38,7 @@ impl Directories {
 
     async fn freeze(&self, sources: &[&str], out: &str) -> Result<Listing, CorpusError> {
         let sources: Vec<String> = sources.iter().map(|&source| source.to_owned()).collect();
-        freeze_anywhere(&sources, None, out, self).await
+        freeze_anywhere(&sources, &Choice::default(), out, self).await
     }
 }
 
@@ -93,7 +95,7 @@ async fn the_same_files_have_the_same_names_in_a_directory_and_in_a_bucket() {
             .map(|source| there.join(source).display().to_string())
             .collect();
         let objects = stores.freeze(&in_bucket, "out").await.unwrap();
-        let files = freeze(&in_directory, None, &PathBuf::from("out")).unwrap();
+        let files = freeze(&in_directory, &Choice::default(), &PathBuf::from("out")).unwrap();
         assert_eq!(names(&objects), names(&files), "{sources:?}");
     }
 }
@@ -102,8 +104,11 @@ async fn the_same_files_have_the_same_names_in_a_directory_and_in_a_bucket() {
 async fn groups_are_directories_below_the_source() {
     let stores = Directories::with(&["b/p/pick/a.mp4", "b/p/place/x/a.mp4"]);
     let sources = ["s3://b/p".to_owned()];
-    let rule: GroupBy = "path:1".parse().unwrap();
-    let listing = freeze_anywhere(&sources, Some(&rule), "out", &stores)
+    let choice = Choice {
+        group_by: Some("path:1".parse().unwrap()),
+        ..Choice::default()
+    };
+    let listing = freeze_anywhere(&sources, &choice, "out", &stores)
         .await
         .unwrap();
     let groups: Vec<_> = listing.entries.iter().map(|e| e.group.as_deref()).collect();
@@ -148,7 +153,11 @@ async fn what_is_not_there_is_named() {
     assert!(matches!(empty, CorpusError::Empty { .. }), "{empty}");
     let other = stores.freeze(&["gs://b/p"], "out").await.unwrap_err();
     assert!(other.to_string().contains("s3://BUCKET/PREFIX"), "{other}");
-    let files_alone = freeze(&["s3://b/p".to_owned()], None, &PathBuf::from("out"));
+    let files_alone = freeze(
+        &["s3://b/p".to_owned()],
+        &Choice::default(),
+        &PathBuf::from("out"),
+    );
     assert!(
         files_alone
             .unwrap_err()

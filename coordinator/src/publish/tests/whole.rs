@@ -19,6 +19,7 @@ fn corpus() -> CorpusFile {
         }),
         conditioning_frames: Some(1),
         fault_calibration: None,
+        cascade: None,
         statistics: CorpusStatistics {
             degenerate: false,
             uncertain_decisions: None,
@@ -64,6 +65,7 @@ fn publish_into(out: &OutDir, formats: &[Format]) -> Result<Vec<String>, Publish
         },
         attempts: 2,
         worker: "w1".to_owned(),
+        rung: None,
     }];
     let run = Publication {
         rows: &rows,
@@ -174,7 +176,9 @@ fn rewards_and_costs_follow_the_formats() {
     assert_eq!(
         Value::Object(costs[0].clone()),
         json!({"video": "a/1.mp4", "total_s": 1.5, "cpu_s": 0.0, "fetch_s": 0.0, "decode_s": 0.0, "flow_s": 0.0,
-               "signals_s": 0.0, "geometry_s": 0.0, "adjustment_steps": 0, "depth_cells": 0,
+               "signals_s": 0.0, "geometry_s": 0.0, "flow_pairs": 0,
+               "flow_pairs_saved": 0, "frames_repeated": 0, "photometric_s": 0.0, "tracking_s": 0.0,
+               "edge_updates": 0, "peak_memory_mib": 0, "adjustment_steps": 0, "depth_cells": 0,
                "depth_cells_saved": 0, "attempts": 2, "worker": "w1"})
     );
 }

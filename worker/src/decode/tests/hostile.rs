@@ -1,6 +1,6 @@
 //! Hostile and broken bytes: typed errors, no panic, nothing else opened.
 
-use std::io::ErrorKind;
+use std::io::{Cursor, ErrorKind};
 use std::net::TcpListener;
 
 use super::super::{DecodeError, ffi};
@@ -70,7 +70,7 @@ fn linking_demuxers_are_refused_behind_the_sniffer_too() {
             c"concat",
         ),
     ] {
-        match ffi::open(bytes.into(), demuxer) {
+        match ffi::open(Cursor::new(bytes), demuxer) {
             Ok(mut input) => assert_eq!(input.packets().count(), 0, "{demuxer:?} read something"),
             Err(error) => println!("{demuxer:?}: {error}"),
         }

@@ -2,6 +2,7 @@
 
 mod hostile;
 mod image_dirs;
+mod intervals;
 mod limits;
 mod round_trip;
 

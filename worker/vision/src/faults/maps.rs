@@ -15,12 +15,23 @@ pub(super) const TRANSITION_FRAMES: usize = 2 * WINDOW_FRAMES;
 
 /// V_t = relu(min(q_{t−1→t}, q_{t→t−1}, q_{t→t+1}, q_{t+1→t}) − max(q_{t−1→t+1}, q_{t+1→t−1})).
 pub(super) fn bad_frame(adjacent: [&Plane; 4], skip: [&Plane; 2]) -> Plane {
+    let least = least(adjacent);
     combine(adjacent[0], |cell| {
-        let change = adjacent
-            .iter()
-            .fold(f32::INFINITY, |least, plane| least.min(plane.data[cell]));
+        let change = least.data[cell];
         let across = skip[0].data[cell].max(skip[1].data[cell]);
         (change - across).max(0.0)
+    })
+}
+
+/// The least of the planes in every cell.
+pub(super) fn least(planes: [&Plane; 4]) -> Plane {
+    let [a, b, c, d] = planes.map(|plane| &plane.data[..]);
+    combine(planes[0], |cell| {
+        f32::INFINITY
+            .min(a[cell])
+            .min(b[cell])
+            .min(c[cell])
+            .min(d[cell])
     })
 }
 

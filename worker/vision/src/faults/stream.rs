@@ -31,7 +31,8 @@ pub struct FaultInput<'a> {
     pub picture: &'a NormalisedFrame,
     /// The pair with the frame before; `None` only with the first frame.
     pub adjacent: Option<&'a ChangePair>,
-    /// The pair with the frame before that; without it there is no `bad_frame`.
+    /// The pair with the frame before that; without it there is no `bad_frame`, unless it is known to be
+    /// what [`FaultStream::leave_out_bad_frames_below`] was told.
     pub skip: Option<&'a ChangePair>,
 }
 
@@ -39,6 +40,7 @@ pub struct FaultInput<'a> {
 #[derive(Debug, Clone)]
 pub struct FaultStream {
     params: FaultParams,
+    least_bad_frame: f64,
     last_frame: Option<usize>,
     frames: VecDeque<FramePlanes>,
     pairs: VecDeque<PairPlanes>,
@@ -72,6 +74,7 @@ impl FaultStream {
         params.validate()?;
         Ok(Self {
             params,
+            least_bad_frame: 0.0,
             last_frame: None,
             frames: VecDeque::with_capacity(TRANSITION_FRAMES),
             pairs: VecDeque::with_capacity(TRANSITION_PAIRS),
@@ -86,6 +89,12 @@ impl FaultStream {
         self.series.wanted.extend_from_slice(wanted);
     }
 
+    /// From now on V is recorded as 0 where it is known to be below `least` and the pair across the frame is left
+    /// out, which then costs no flow.
+    pub fn leave_out_bad_frames_below(&mut self, least: f64) {
+        self.least_bad_frame = least;
+    }
+
     /// Takes the next frame.
     ///
     /// # Errors
@@ -95,8 +104,9 @@ impl FaultStream {
         self.check(&input)?;
         if let Some(pair) = input.adjacent.filter(|_| self.last_frame.is_some()) {
             self.jump(input.frame, pair);
-            if let Some(skip) = input.skip {
-                self.bad_frame(input.frame, pair, skip);
+            match input.skip {
+                Some(skip) => self.bad_frame(input.frame, pair, skip),
+                None => self.no_bad_frame(input.frame, pair),
             }
             self.remember_pair(pair);
             self.flicker(input.frame);
@@ -165,18 +175,45 @@ impl FaultStream {
         self.add_mean(FaultKind::Jump, frame, score, map);
     }
 
+    /// Whether V of the frame before needs the pair across that frame, were `pair` the next.
+    #[must_use]
+    pub fn may_be_bad(&self, pair: &ChangePair) -> bool {
+        let most = self.bad_frame_at_most(pair);
+        most.is_some_and(|most| most >= self.least_bad_frame)
+    }
+
+    /// An upper bound of V of the frame before, were `pair` the next: V without the flow across that frame, which
+    /// can only lower it. `None` where there is no V.
+    fn bad_frame_at_most(&self, pair: &ChangePair) -> Option<f64> {
+        let earlier = self.pairs.back()?;
+        if pair.size() != self.series.grid_size {
+            return None;
+        }
+        let changes = maps::least(adjacent(earlier, pair));
+        Some(central_mean(&changes, &self.params))
+    }
+
+    /// The frame before `frame` is not bad, where that is known without the flow across it.
+    fn no_bad_frame(&mut self, frame: usize, pair: &ChangePair) {
+        let most = self.bad_frame_at_most(pair);
+        if most.is_some_and(|most| most < self.least_bad_frame) {
+            self.series.points[FaultKind::BadFrame as usize].push(FaultPoint {
+                frame: frame - 1,
+                score: 0.0,
+                place: None,
+            });
+        }
+    }
+
     /// Judges the frame before `frame`.
     fn bad_frame(&mut self, frame: usize, pair: &ChangePair, skip: &ChangePair) {
         let Some(earlier) = self.pairs.back() else {
             return;
         };
-        let adjacent = [
-            &earlier.forward_change,
-            &earlier.backward_change,
-            &pair.forward_change,
-            &pair.backward_change,
-        ];
-        let map = maps::bad_frame(adjacent, [&skip.forward_change, &skip.backward_change]);
+        let map = maps::bad_frame(
+            adjacent(earlier, pair),
+            [&skip.forward_change, &skip.backward_change],
+        );
         let score = central_mean(&map, &self.params);
         self.add_mean(FaultKind::BadFrame, frame - 1, score, map);
     }
@@ -255,4 +292,14 @@ impl FaultStream {
             grey,
         });
     }
+}
+
+/// The change maps of two successive pairs, both directions.
+fn adjacent<'a>(earlier: &'a PairPlanes, later: &'a ChangePair) -> [&'a Plane; 4] {
+    [
+        &earlier.forward_change,
+        &earlier.backward_change,
+        &later.forward_change,
+        &later.backward_change,
+    ]
 }

@@ -500,3 +500,51 @@ fn wrong_input_is_an_error_and_changes_nothing() {
     let empty = FaultStream::new(FaultParams::default()).unwrap();
     assert_eq!(empty.finish(true), FaultSeries::default());
 }
+
+#[test]
+fn what_is_left_out_of_bad_frame_is_below_what_was_told() {
+    let clip: Vec<_> = (0..12)
+        .map(|t| {
+            if t == 6 {
+                picture(patch)
+            } else {
+                picture(ground)
+            }
+        })
+        .collect();
+    let full = still_clip(&clip, 1);
+    let full = full.points(FaultKind::BadFrame);
+    let largest = full.iter().map(|point| point.score).fold(0.0, f64::max);
+    assert!(largest > 0.0);
+    for least in [0.5 * largest, 2.0 * largest] {
+        let mut stream = FaultStream::new(FaultParams::default()).unwrap();
+        stream.leave_out_bad_frames_below(least);
+        let mut looked_across = 0;
+        for (t, picture) in clip.iter().enumerate() {
+            let adjacent = (t >= 1).then(|| pair(&clip[t - 1], picture, [0.0; 2]));
+            let is_asked = adjacent
+                .as_ref()
+                .is_some_and(|pair| stream.may_be_bad(pair));
+            looked_across += usize::from(is_asked);
+            let skip = is_asked.then(|| pair(&clip[t - 2], picture, [0.0; 2]));
+            let input = FaultInput {
+                frame: t + 1,
+                picture,
+                adjacent: adjacent.as_ref(),
+                skip: skip.as_ref(),
+            };
+            stream.push(input).unwrap();
+        }
+        let series = stream.finish(true);
+        let found = series.points(FaultKind::BadFrame);
+        assert_eq!(found.len(), full.len());
+        for (found, full) in found.iter().zip(full) {
+            let is_same = found == full;
+            let is_left_out = found.score == 0.0 && full.score < least;
+            assert!(is_same || is_left_out, "{found:?} {full:?}");
+            assert_eq!(found.frame, full.frame);
+        }
+        assert!(looked_across < full.len());
+        assert_eq!(looked_across > 0, least < largest);
+    }
+}

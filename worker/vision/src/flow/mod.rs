@@ -22,6 +22,18 @@ pub struct Flow {
     pub data: Vec<[f32; 2]>,
 }
 
+impl Flow {
+    /// Nothing moves.
+    #[must_use]
+    pub fn still(width: usize, height: usize) -> Self {
+        Self {
+            width,
+            height,
+            data: vec![[0.0; 2]; width * height],
+        }
+    }
+}
+
 /// Why no flow was computed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FlowError {

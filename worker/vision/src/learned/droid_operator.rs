@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
+use serde::{Deserialize, Serialize};
 
 use super::correlation::{FeatureMap, FeaturePyramid, look_up};
 use super::droid::{DroidNetworks, Edges, GATES, HIDDEN, MOTION, WINDOW, mean_length, motion};
@@ -18,7 +19,8 @@ use crate::image::Rgb8;
 use crate::slam::operator::{CorrespondenceOperator, EdgeAnswer, EdgeId, EdgeQuery};
 
 /// The operator's constants; [`default`](Self::default) is WorldScore's where it has one.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct DroidOperatorParams {
     /// A frame becomes a keyframe where its mean motion from the last one is above this, cells.
     pub keyframe_motion: f64,
@@ -95,6 +97,7 @@ pub struct DroidOperator {
     keyframes: BTreeMap<usize, Keyframe>,
     newest: Option<Newest>,
     edges: BTreeMap<EdgeId, EdgeState>,
+    edge_updates: u64,
 }
 
 impl DroidOperator {
@@ -107,7 +110,20 @@ impl DroidOperator {
             keyframes: BTreeMap::new(),
             newest: None,
             edges: BTreeMap::new(),
+            edge_updates: 0,
         }
+    }
+
+    /// Updates of single edges so far, the motion filter's among them: nearly all of the work.
+    #[must_use]
+    pub fn edge_updates(&self) -> u64 {
+        self.edge_updates
+    }
+
+    /// The networks, for the next video.
+    #[must_use]
+    pub fn into_networks(self) -> DroidNetworks {
+        self.networks
     }
 
     /// Shows the next frame, of whole cells; true if it is a keyframe, which the tracker is then told of.
@@ -171,6 +187,7 @@ impl DroidOperator {
         let mut correlation = vec![0.0; WINDOW.channels() * cells];
         let target = FeaturePyramid::new(features.clone());
         look_up(source, &target, &own, WINDOW, &mut correlation)?;
+        self.edge_updates += 1;
         let update = self.networks.update(Edges {
             shape: (1, rows, columns),
             net: &newest.net,
@@ -221,6 +238,7 @@ impl DroidOperator {
                 (rows, columns),
             )?);
         }
+        self.edge_updates += queries.len() as u64;
         let update = self.networks.update(Edges {
             shape: (queries.len(), rows, columns),
             net: &net,
@@ -307,6 +325,17 @@ impl CorrespondenceOperator for DroidOperator {
         check_length("damping of a source", damping.len(), found.len())?;
         damping.copy_from_slice(&found);
         Ok(())
+    }
+
+    fn forget(&mut self, frame: usize) {
+        // The motion filter compares the next frame with the newest keyframe, whatever became of it.
+        if self
+            .newest
+            .as_ref()
+            .is_none_or(|newest| newest.frame != frame)
+        {
+            self.keyframes.remove(&frame);
+        }
     }
 }
 

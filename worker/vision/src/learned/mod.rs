@@ -11,8 +11,10 @@ pub mod droid;
 pub mod droid_operator;
 mod error;
 mod network;
+pub mod opencv_resize;
 pub mod picture;
 pub mod sea_raft;
+pub mod tracking_picture;
 
 pub use error::LearnedError;
 pub use network::{Network, NetworkError, Tensor, TensorView};

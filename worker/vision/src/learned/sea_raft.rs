@@ -17,6 +17,9 @@ use crate::image::Rgb8;
 /// error in the reference too.
 const LEAST_PADDED_PX: usize = CELL_PX << (correlation::LEVELS);
 
+/// Largest logarithm of a scale (`var_max`); the least is 0.
+const MOST_LOG_SCALE: f32 = 10.0;
+
 /// The converted networks; inputs and outputs are described in `deploy/models/sea_raft.py`.
 pub struct SeaRaftNetworks {
     /// Picture to features.
@@ -74,6 +77,27 @@ pub struct SeaRaftFlow {
     pub network_size: (usize, usize),
     /// Iterations done.
     pub iterations: usize,
+}
+
+impl SeaRaftFlow {
+    /// How far the network trusts its flow, in (0, 1], `[H, W]` of its picture: exp(−E\[ln b\]) over the two
+    /// Laplacians that it mixes, the first of a scale b of 1 to e¹⁰ px, the second of 1.
+    #[must_use]
+    pub fn confidence(&self) -> Vec<f32> {
+        let cells = self.network_size.0 * self.network_size.1;
+        let planes: Vec<&[f32]> = self.uncertainty.chunks_exact(cells.max(1)).collect();
+        let [first, second, scale, _] = planes[..] else {
+            return Vec::new();
+        };
+        let terms = first.iter().zip(second).zip(scale);
+        terms
+            .map(|((&first, &second), &scale)| {
+                // The first one's share of the mixture.
+                let share = 1.0 / (1.0 + libm::expf(second - first));
+                libm::expf(-share * scale.clamp(0.0, MOST_LOG_SCALE))
+            })
+            .collect()
+    }
 }
 
 impl SeaRaft {

@@ -195,23 +195,11 @@ impl ClipGeometry {
     /// the first of equals.
     #[must_use]
     pub fn worst_edge(&self, frame: usize) -> Option<AdjustedEdge> {
-        let larger =
-            |worst: AdjustedEdge, edge: AdjustedEdge| match edge.mean_px() > worst.mean_px() {
-                true => edge,
-                false => worst,
-            };
-        let is_there =
-            |edge: &AdjustedEdge| edge.from_frame.max(edge.to_frame) == frame && edge.cells > 0;
         if self.method == Method::DenseAdjustment {
-            return self
-                .adjusted
-                .iter()
-                .filter(|e| is_there(e))
-                .cloned()
-                .reduce(larger);
+            return worst_edge(self.adjusted.iter().cloned(), frame);
         }
         let edges = self.edges.iter().filter_map(|e| e.under(self.model));
-        edges.filter(is_there).reduce(larger)
+        worst_edge(edges, frame)
     }
 }
 
@@ -240,6 +228,23 @@ impl AdjustedEdge {
     pub fn mean_px(&self) -> Option<f64> {
         (self.cells > 0).then(|| self.sum_px / self.cells as f64)
     }
+}
+
+/// i*: of the edges whose later frame is `frame`, the one of the largest mean residual; the first of equals.
+pub fn worst_edge(edges: impl Iterator<Item = AdjustedEdge>, frame: usize) -> Option<AdjustedEdge> {
+    edges
+        .filter(|edge| edge.from_frame.max(edge.to_frame) == frame && edge.cells > 0)
+        .reduce(|worst, edge| match edge.mean_px() > worst.mean_px() {
+            true => edge,
+            false => worst,
+        })
+}
+
+/// e_t: the mean residual of the edges whose later frame is t, by frame.
+#[must_use]
+pub fn series(edges: &[AdjustedEdge]) -> Vec<FrameResidual> {
+    let sum = |e: &AdjustedEdge| (e.from_frame.max(e.to_frame), e.sum_px, e.cells);
+    series_of(&mut edges.iter().map(sum).collect::<Vec<_>>())
 }
 
 /// e_t from edges: (later frame, sum of residuals in px, cells), which are sorted by frame here. The order of edges

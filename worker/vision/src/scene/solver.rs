@@ -107,6 +107,11 @@ impl TwoViewSolver {
         &self.edges
     }
 
+    /// Adds an edge that another solver of these parameters has judged.
+    pub fn adopt(&mut self, edge: EdgeGeometry) {
+        self.edges.push(edge);
+    }
+
     /// The model of least GRIC over all edges so far, exact: fits what only that needs. The cheapest
     /// without edges.
     pub fn verdict(&mut self) -> MotionModel {

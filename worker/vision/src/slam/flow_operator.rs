@@ -125,8 +125,24 @@ pub fn sample_flow(
     opposite: &Flow,
     step: usize,
 ) -> Result<GridAnswer, FlowOperatorError> {
-    let (width, height) = (flow.width, flow.height);
-    for field in [flow, opposite] {
+    sample_chain(&[flow], &[opposite], step)
+}
+
+/// As [`sample_flow`] between frames further apart, whose flow is followed from frame to frame: `there`
+/// holds the flows on the way, in order, `back` those of the way back. A cell that leaves the picture on
+/// its way weighs nothing.
+///
+/// # Errors
+/// As [`sample_flow`].
+pub fn sample_chain(
+    there: &[&Flow],
+    back: &[&Flow],
+    step: usize,
+) -> Result<GridAnswer, FlowOperatorError> {
+    let (width, height) = there
+        .first()
+        .map_or((0, 0), |flow| (flow.width, flow.height));
+    for field in there.iter().chain(back) {
         let len = field.data.len();
         if len == 0 || field.width.checked_mul(field.height) != Some(len) {
             return Err(FlowOperatorError::Shape {
@@ -136,7 +152,8 @@ pub fn sample_flow(
             });
         }
     }
-    if (width, height) != (opposite.width, opposite.height) {
+    let differs = |field: &&Flow| (field.width, field.height) != (width, height);
+    if there.len() != back.len() || there.is_empty() || there.iter().chain(back).any(differs) {
         return Err(FlowOperatorError::SizeMismatch);
     }
     if step == 0 {
@@ -148,27 +165,26 @@ pub fn sample_flow(
         at: vec![0.0; 2 * cells],
         weight: vec![0.0; 2 * cells],
     };
-    let (last_x, last_y) = ((width - 1) as f32, (height - 1) as f32);
     for cell in 0..cells {
         let x = first + cell % grid.columns * step;
         let y = first + cell / grid.columns * step;
-        let [u, v] = flow.data[y * width + x];
-        if !(u.is_finite() && v.is_finite()) {
+        let mut way = Way::from(x as f32, y as f32);
+        for flow in there {
+            way.follow(flow);
+        }
+        if !way.is_finite() {
             return Err(FlowOperatorError::NonFinite { x, y });
         }
-        let (to_x, to_y) = (x as f32 + u, y as f32 + v);
         let in_cells = |to: f32| (to - first as f32) / step as f32;
-        answer.at[cell] = in_cells(to_x);
-        answer.at[cells + cell] = in_cells(to_y);
-        if to_x < 0.0 || to_y < 0.0 || to_x > last_x || to_y > last_y {
+        answer.at[cell] = in_cells(way.at[0]);
+        answer.at[cells + cell] = in_cells(way.at[1]);
+        if way.left {
             continue;
         }
-        let look_up = Bilinear::at(to_x, to_y, width, height);
-        let back = |k: usize| {
-            let [a, b, c, d] = look_up.indices.map(|i| opposite.data[i][k]);
-            f64::from(look_up.mix(a, b, c, d))
-        };
-        let (du, dv) = (f64::from(u) + back(0), f64::from(v) + back(1));
+        for flow in back {
+            way.follow(flow);
+        }
+        let [du, dv] = way.moved;
         let squared_px = (du * du + dv * dv) * unit_px * unit_px;
         if !squared_px.is_finite() {
             return Err(FlowOperatorError::NonFinite { x, y });
@@ -178,6 +194,43 @@ pub fn sample_flow(
         answer.weight[cells + cell] = weight;
     }
     Ok(answer)
+}
+
+/// A point on its way from frame to frame, pixels.
+struct Way {
+    at: [f32; 2],
+    /// Sum of the vectors followed.
+    moved: [f64; 2],
+    /// Whether it was outside the picture.
+    left: bool,
+}
+
+impl Way {
+    fn from(x: f32, y: f32) -> Self {
+        Self {
+            at: [x, y],
+            moved: [0.0; 2],
+            left: false,
+        }
+    }
+
+    /// Goes where `flow` takes it; outside the picture, its nearest pixel does.
+    fn follow(&mut self, flow: &Flow) {
+        let look_up = Bilinear::at(self.at[0], self.at[1], flow.width, flow.height);
+        for axis in [0, 1] {
+            let [a, b, c, d] = look_up.indices.map(|i| flow.data[i][axis]);
+            let vector = look_up.mix(a, b, c, d);
+            self.at[axis] += vector;
+            self.moved[axis] += f64::from(vector);
+        }
+        let [x, y] = self.at;
+        let (last_x, last_y) = ((flow.width - 1) as f32, (flow.height - 1) as f32);
+        self.left |= x < 0.0 || y < 0.0 || x > last_x || y > last_y;
+    }
+
+    fn is_finite(&self) -> bool {
+        self.at.iter().all(|value| value.is_finite())
+    }
 }
 
 /// Gives the flows between two frames.
@@ -304,6 +357,50 @@ mod tests {
             assert_eq!(answer.weight[cell], weight);
             assert_eq!(answer.weight[cells + cell], weight);
         }
+    }
+
+    #[test]
+    fn a_chain_is_followed_from_frame_to_frame() {
+        // A field that grows to the right, so that the second vector differs from the first.
+        let ramp = |sign: f32| Flow {
+            width: 64,
+            height: 64,
+            data: (0..64 * 64)
+                .map(|i| [sign * (i % 64) as f32 / 16.0, sign])
+                .collect(),
+        };
+        let (there, back) = (ramp(1.0), ramp(-1.0));
+        let chain = sample_chain(&[&there, &there], &[&back, &back], 8).unwrap();
+        let grid = grid_of(64, 64, 8);
+        for cell in 0..grid.cells() {
+            let (x, y) = (4 + cell % 8 * 8, 4 + cell / 8 * 8);
+            if x as f64 * 17.0 / 16.0 > 63.0 {
+                assert_eq!(chain.weight[cell], 0.0);
+                continue;
+            }
+            // x → x (1 + 1/16)², linear and thus interpolated exactly; and back x → x (1 − 1/16)².
+            let to = x as f64 * (17.0_f64 / 16.0).powi(2);
+            assert!((f64::from(chain.at[cell]) - (to - 4.0) / 8.0).abs() < 1e-5);
+            let back = to * (15.0_f64 / 16.0).powi(2);
+            let error_px = (back - x as f64) * 4.0;
+            let expected = match to <= 63.0 && y + 2 <= 63 {
+                true => 1.0 / (1.0 + error_px * error_px),
+                false => 0.0,
+            };
+            assert!((f64::from(chain.weight[cell]) - expected).abs() < 1e-4);
+        }
+        // A constant flow twice is twice the flow.
+        let (there, back) = (constant(64, 64, [3.0, -2.0]), constant(64, 64, [-3.0, 2.0]));
+        let double = sample_flow(
+            &constant(64, 64, [6.0, -4.0]),
+            &constant(64, 64, [-6.0, 4.0]),
+            8,
+        );
+        let chain = sample_chain(&[&there, &there], &[&back, &back], 8);
+        assert_eq!(chain.unwrap(), double.unwrap());
+        let torn = sample_chain(&[&there, &there], &[&back], 8);
+        assert!(matches!(torn, Err(FlowOperatorError::SizeMismatch)));
+        assert!(sample_chain(&[], &[], 8).is_err());
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::bundle::Scene;
 use super::camera::{DepthRule, Grid, Pinhole, project};
 use super::distance::symmetric_distance;
-use super::graph::FactorGraph;
+use super::graph::{Edge, FactorGraph};
 use super::se3::Se3;
 
 /// Slots with pose, inverse depths and the input frame that each holds.
@@ -151,6 +151,18 @@ impl Keyframes {
         }
     }
 
+    /// Distance between reprojection and target of each cell of an edge, cells; none behind the camera.
+    pub(super) fn residuals(&self, edge: &Edge) -> Vec<Option<f64>> {
+        let cells = self.scene.grid.cells();
+        let (at, good) = self.reprojection(edge.source, edge.target);
+        let length = |cell: usize| {
+            let difference = |k: usize| f64::from(at[k]) - f64::from(edge.at[k]);
+            let (du, dv) = (difference(cell), difference(cells + cell));
+            good[cell].then(|| libm::sqrt(du * du + dv * dv))
+        };
+        (0..cells).map(length).collect()
+    }
+
     /// Mean distance between reprojection and target over all valid cells of the active edges, cells;
     /// how many those are, and of how many. The score of WorldScore's 3D consistency.
     #[must_use]
@@ -158,11 +170,8 @@ impl Keyframes {
         let cells = self.scene.grid.cells();
         let (mut sum, mut valid, mut total) = (0.0, 0usize, 0usize);
         for edge in &graph.active {
-            let (at, good) = self.reprojection(edge.source, edge.target);
-            for cell in (0..cells).filter(|&cell| good[cell]) {
-                let difference = |k: usize| f64::from(at[k]) - f64::from(edge.at[k]);
-                let (du, dv) = (difference(cell), difference(cells + cell));
-                sum += libm::sqrt(du * du + dv * dv);
+            for length in self.residuals(edge).into_iter().flatten() {
+                sum += length;
                 valid += 1;
             }
             total += cells;

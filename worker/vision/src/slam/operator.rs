@@ -58,4 +58,7 @@ pub trait CorrespondenceOperator {
         source_frame: usize,
         damping: &mut [f32],
     ) -> Result<(), Self::Error>;
+
+    /// A keyframe was removed: it will not be asked for again.
+    fn forget(&mut self, _frame: usize) {}
 }

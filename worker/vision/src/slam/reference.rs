@@ -8,14 +8,18 @@
 //! Source: WorldScore's vendored droid_slam (Dec 2025) over DROID-SLAM commit 8016d2b. State is kept
 //! as f32 between adjustments, as there. Units: grid cells (1/8 px of the working picture).
 
+use serde::{Deserialize, Serialize};
+
 use super::bundle::{BundleError, BundleOptions, EdgeObservation, Problem, Workspace, adjust};
 use super::camera::{Grid, Pinhole};
 use super::graph::{Edge, FactorGraph, Proximity, neighbourhood};
 use super::keyframes::{Keyframes, MeanError};
 use super::operator::{CorrespondenceOperator, EdgeAnswer, EdgeQuery};
+use crate::scene::AdjustedEdge;
 
 /// The tracker's constants; [`default`](Self::default) is WorldScore's.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ReferenceParams {
     /// Keyframes at which tracking starts.
     pub warmup: usize,
@@ -35,8 +39,15 @@ pub struct ReferenceParams {
     pub most_edges: usize,
     /// Updates after which an edge is retired.
     pub most_age: u32,
+    /// Updates for each new keyframe, and once more where it stays.
+    pub frontend_updates: [usize; 2],
+    /// Most edges of the back end for each keyframe.
+    pub backend_edges: usize,
     /// Updates of both back end runs.
     pub backend_steps: [usize; 2],
+    /// A back end run ends early once an update moves its targets by less than this in the mean, cells. The
+    /// reference never does.
+    pub stop_below: Option<f64>,
     /// Factor of the operator's depth damping, and what is added to it.
     pub damping: [f32; 2],
     /// Least inverse depth after an adjustment.
@@ -55,7 +66,10 @@ impl Default for ReferenceParams {
             window: 25,
             most_edges: 48,
             most_age: 25,
+            frontend_updates: [4, 2],
+            backend_edges: 16,
             backend_steps: [7, 12],
+            stop_below: None,
             damping: [0.2, 1e-7],
             least_inverse_depth: 0.001,
         }
@@ -66,9 +80,8 @@ impl Default for ReferenceParams {
 const FRONTEND_ROWS: usize = 5;
 /// Frames on either side that are joined when tracking starts.
 const START_RADIUS: usize = 3;
-/// Updates at the start, twice; for each new keyframe; and once more where it stays.
+/// Updates at the start, twice.
 const START_UPDATES: usize = 8;
-const FRONTEND_UPDATES: [usize; 2] = [4, 2];
 /// Proximity edges: radius, and suppression at the start, while tracking, at the end.
 const RADIUS: usize = 2;
 const SUPPRESSION: [usize; 3] = [2, 1, 3];
@@ -76,8 +89,6 @@ const SUPPRESSION: [usize; 3] = [2, 1, 3];
 const RETIRED_AFTER_START: usize = 4;
 /// Inactive edges reach this far before the adjusted window.
 const INACTIVE_REACH: usize = 3;
-/// Most edges of the back end for each keyframe.
-const BACKEND_EDGES_PER_KEYFRAME: usize = 16;
 
 /// Why a video has no score.
 #[derive(Debug, thiserror::Error)]
@@ -152,6 +163,12 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
         &mut self.operator
     }
 
+    /// The operator, when all is done.
+    #[must_use]
+    pub fn into_operator(self) -> O {
+        self.operator
+    }
+
     /// Takes the next frame.
     ///
     /// # Errors
@@ -215,18 +232,19 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
             most_edges: self.params.most_edges,
         };
         self.add_near(&proximity, self.params.beta, Some(self.params.most_edges));
-        self.updates(FRONTEND_UPDATES[0], None)?;
+        self.updates(self.params.frontend_updates[0], None)?;
         let (before, after) = (self.tracked - 3, self.tracked - 2);
         self.keyframe_distance = self.keyframes.distance(before, after, self.params.beta);
         if self
             .keyframe_distance
             .is_some_and(|d| d < self.params.keyframe_distance)
         {
+            self.operator.forget(self.keyframes.frames[after]);
             self.keyframes.replace_by_last();
             self.graph.remove_keyframe(after);
             self.tracked -= 1;
         } else {
-            self.updates(FRONTEND_UPDATES[1], None)?;
+            self.updates(self.params.frontend_updates[1], None)?;
         }
         self.keyframes.prepare_from(self.tracked - 1);
         Ok(())
@@ -247,7 +265,7 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
             radius: RADIUS,
             suppression: SUPPRESSION[2],
             most_distance: self.params.edge_distance[1],
-            most_edges: BACKEND_EDGES_PER_KEYFRAME * frames,
+            most_edges: self.params.backend_edges * frames,
         };
         self.add_near(&proximity, self.params.beta, None);
         if self.graph.active.is_empty() {
@@ -259,9 +277,35 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
             options: BundleOptions::worldscore_backend(),
         };
         for _ in 0..steps {
-            self.update(&update)?;
+            let moved = self.update(&update)?;
+            if self.params.stop_below.is_some_and(|least| moved < least) {
+                break;
+            }
         }
         Ok(self.keyframes.mean_error(&self.graph))
+    }
+
+    /// What is left on each edge of the graph, in its order: after [`finish`](Self::finish) the parts of the
+    /// score. Lengths are cells, also where a name says px.
+    #[must_use]
+    pub fn residuals(&self) -> Vec<AdjustedEdge> {
+        let (frames, grid) = (&self.keyframes.frames, self.keyframes.scene.grid);
+        let of_edge = |edge: &Edge| {
+            let lengths = self.keyframes.residuals(edge);
+            AdjustedEdge {
+                from_frame: frames[edge.source],
+                to_frame: frames[edge.target],
+                columns: grid.columns,
+                rows: grid.rows,
+                sum_px: lengths.iter().flatten().sum(),
+                cells: lengths.iter().flatten().count(),
+                map_px: lengths
+                    .iter()
+                    .map(|length| length.map(|l| l as f32))
+                    .collect(),
+            }
+        };
+        self.graph.active.iter().map(of_edge).collect()
     }
 
     fn add_near(&mut self, proximity: &Proximity, beta: f64, limit: Option<usize>) {
@@ -284,9 +328,10 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
         Ok(())
     }
 
-    /// Asks the operator about the active edges, then adjusts to its answers.
-    fn update(&mut self, update: &Update) -> Result<(), TrackError> {
-        self.ask().map_err(|e| TrackError::Operator(Box::new(e)))?;
+    /// Asks the operator about the active edges, then adjusts to its answers. Gives how far those moved the
+    /// targets, mean over all cells of all edges, cells.
+    fn update(&mut self, update: &Update) -> Result<f64, TrackError> {
+        let moved = self.ask().map_err(|e| TrackError::Operator(Box::new(e)))?;
         let active = self.graph.active.iter();
         let default = active.map(|e| e.source + 1).min().unwrap_or(1).max(1);
         let first_free = update.first_free.unwrap_or(default);
@@ -336,10 +381,10 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
         for edge in &mut self.graph.active {
             edge.age += 1;
         }
-        Ok(())
+        Ok(moved)
     }
 
-    fn ask(&mut self) -> Result<(), O::Error> {
+    fn ask(&mut self) -> Result<f64, O::Error> {
         let keyframes = &self.keyframes;
         let reprojected: Vec<Vec<f32>> = self
             .graph
@@ -370,6 +415,17 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
             })
             .collect();
         self.operator.update(&queries, &mut answers)?;
+        let (mut moved, mut count) = (0.0, 0usize);
+        for (query, answer) in queries.iter().zip(&answers) {
+            let (x, y) = answer.at.split_at(answer.at.len() / 2);
+            let (from_x, from_y) = query.reprojected.split_at(x.len());
+            for ((x, from_x), (y, from_y)) in x.iter().zip(from_x).zip(y.iter().zip(from_y)) {
+                let (dx, dy) = (f64::from(x - from_x), f64::from(y - from_y));
+                moved += libm::sqrt(dx * dx + dy * dy);
+            }
+            count += x.len();
+        }
+        let moved = moved / count.max(1) as f64;
         let mut sources: Vec<usize> = self.graph.active.iter().map(|e| e.source).collect();
         sources.sort_unstable();
         sources.dedup();
@@ -379,6 +435,6 @@ impl<O: CorrespondenceOperator> ReferenceTracker<O> {
             self.operator
                 .depth_damping(self.keyframes.frames[slot], damping)?;
         }
-        Ok(())
+        Ok(moved)
     }
 }

@@ -41,6 +41,8 @@ impl Placement {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Comparison {
     pub(super) distance: f32,
+    /// Squared distance before the means are removed.
+    pub(super) square: f32,
     pub(super) descent: [f32; 2],
 }
 
@@ -198,11 +200,13 @@ pub(super) fn compare<const P: usize>(
     if mean_normalisation {
         Comparison {
             distance: square - sum * sum / (P * P) as f32,
+            square,
             descent: [along_x - sum * tensor.mean_x, along_y - sum * tensor.mean_y],
         }
     } else {
         Comparison {
             distance: square,
+            square,
             descent: [along_x, along_y],
         }
     }

@@ -147,6 +147,10 @@ impl<const P: usize> Patch<'_, P> {
     ) -> [f32; 2] {
         let mut best = start;
         let mut comparison = self.compare(start);
+        // Nothing matches better, and the next steps would be zero.
+        if comparison.square == 0.0 {
+            return start;
+        }
         if self.params.spatial_propagation {
             let mut shortest = comparison.distance;
             for candidate in neighbours.into_iter().flatten() {

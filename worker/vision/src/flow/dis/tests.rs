@@ -314,6 +314,7 @@ fn scalar_compare(
     let tensor = &first.tensors[index];
     Comparison {
         distance: square - sum * sum / 64.0,
+        square,
         descent: [gx - sum * tensor.mean_x, gy - sum * tensor.mean_y],
     }
 }
@@ -622,4 +623,22 @@ fn coarsest_scale_follows_frame_and_patch() {
     assert_eq!(coarsest_scale(256, 16, 8), Some(1));
     assert_eq!(coarsest_scale(16, 16, 8), Some(0));
     assert_eq!(coarsest_scale(7, 64, 8), None);
+}
+
+#[test]
+fn nothing_moves_between_a_frame_and_itself_to_the_bit() {
+    // Texture, a flat wall, and noise.
+    let pictures = [
+        texture(96, 64, 0.0, 0.0),
+        Plane::from_fn(96, 64, |_, _| 17.3),
+        Plane::from_fn(96, 64, |x, y| ((x * 7919 + y * 104_729) % 251) as f32),
+    ];
+    for params in all_params()
+        .into_iter()
+        .filter(|p| p.refinement_iterations == 0)
+    {
+        for picture in &pictures {
+            assert_eq!(solve(picture, picture, &params), Flow::still(96, 64));
+        }
+    }
 }
