@@ -64,6 +64,7 @@ fn member_job() -> Job {
     }
 }
 
+#[expect(clippy::unwrap_used, reason = "an object")]
 fn episode_job() -> FleetJob {
     let object = object_job(Some("e"), None);
     let whole = object.job.location.object().cloned().map(Whole::Object);

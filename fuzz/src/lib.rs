@@ -20,8 +20,11 @@ mod sidecar;
 
 use std::path::PathBuf;
 
+/// What is done with arbitrary bytes.
+pub type Target = fn(&[u8]);
+
 /// The targets by name, which is also that of the directory of their corpus.
-pub const TARGETS: [(&str, fn(&[u8])); 6] = [
+pub const TARGETS: [(&str, Target); 6] = [
     ("config", config::target),
     ("container", container::target),
     ("flow_file", flow_file::target),
@@ -32,7 +35,7 @@ pub const TARGETS: [(&str, fn(&[u8])); 6] = [
 
 /// The target of a name.
 #[must_use]
-pub fn target(name: &str) -> Option<fn(&[u8])> {
+pub fn target(name: &str) -> Option<Target> {
     let found = TARGETS.iter().find(|(known, _)| *known == name);
     found.map(|(_, target)| *target)
 }

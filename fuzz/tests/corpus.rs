@@ -4,7 +4,8 @@
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
-    reason = "a test fails by panicking"
+    clippy::print_stderr,
+    reason = "a test fails by panicking, and names the file at which it does"
 )]
 
 use std::path::Path;
@@ -20,7 +21,7 @@ fn run(name: &str) -> usize {
     for file in files {
         let path = file.unwrap().path();
         // Names the file where the target panics.
-        println!("{}", path.display());
+        eprintln!("{}", path.display());
         target(&std::fs::read(&path).unwrap());
         count += 1;
     }

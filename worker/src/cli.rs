@@ -310,11 +310,9 @@ mod tests {
     fn the_examples_are_commands() {
         let lines = EXAMPLES.lines().map(str::trim);
         let commands = lines.filter(|line| line.starts_with("plumbline-worker"));
-        assert_eq!(
-            commands
-                .map(|line| Cli::try_parse_from(line.split(' ')).unwrap())
-                .count(),
-            3
-        );
+        let parsed: Vec<Cli> = commands
+            .map(|line| Cli::try_parse_from(line.split(' ')).unwrap())
+            .collect();
+        assert_eq!(parsed.len(), 3);
     }
 }

@@ -37,6 +37,9 @@ impl Rung {
     /// From the cheapest to the dearest.
     pub const ALL: [Self; 4] = [Self::Draft, Self::Standard, Self::Accurate, Self::Reference];
 
+    /// Those that need no learned network; the learned one answers another question, at a hundred times the cost.
+    pub const CLASSICAL: [Self; 3] = [Self::Draft, Self::Standard, Self::Accurate];
+
     /// The name used on the command line and in every output.
     #[must_use]
     pub fn as_str(self) -> &'static str {
@@ -227,8 +230,10 @@ impl Profile {
     pub fn new(rung: Rung) -> Self {
         // Thresholds of rendered clips would flag most recorded ones, so only `standard`, which was
         // calibrated on recorded clips, reports faults.
+        // Height is cheap to give up, rows of the flow's search are not: `draft` searches as many as
+        // `standard`, since with a quarter of them the motion-balanced signals order clips another way.
         let (working_height_px, finest_scale, edge_spans, fault_thresholds) = match rung {
-            Rung::Draft => (128, 2, vec![1], FaultThresholds::UNCALIBRATED),
+            Rung::Draft => (128, 0, vec![1], FaultThresholds::UNCALIBRATED),
             // What stands beside the learned measures is `standard`'s.
             Rung::Standard | Rung::Reference => {
                 (256, 1, vec![1, 2], FaultThresholds::STANDARD_RECORDED)

@@ -119,7 +119,9 @@ struct Row {
 
 /// Rows of `of` and what is below it, with the values of each of `columns`.
 fn rows(sources: &Sources, of: &str, prefix: &str, columns: &[&Value], out: &mut Vec<Row>) {
-    let object = columns.iter().find_map(|value| value.as_object()).unwrap();
+    // The fullest: sections that a rung goes without are not written for it.
+    let objects = columns.iter().filter_map(|value| value.as_object());
+    let object = objects.max_by_key(|object| object.len()).unwrap();
     let fields = sources.find(of, object);
     let fields = fields.unwrap_or_else(|| panic!("no struct {of} with the fields {object:?}"));
     for field in fields {

@@ -57,6 +57,10 @@ pub(super) const SAMPLE: &str = "Examples:
 pub(super) const REPORT: &str = "Examples:
   plumbline report scores";
 
+pub(super) const TRADEOFF: &str = "Examples:
+  plumbline tradeoff rollouts --out tradeoff
+  plumbline tradeoff rollouts --out tradeoff --sample 60 --keep 50% --videos 5000 --cores 64 --hours 8";
+
 pub(super) const SLAM: &str = "Examples:
   plumbline slam walk.mp4 --out camera
   plumbline slam frames/ --out camera --intrinsics 525,525,319.5,239.5 --sequence-fps 30 --gt truth.txt";

@@ -80,6 +80,7 @@ enum Command {
     Sample(sample::SampleArgs),
     #[command(after_help = examples::SLAM)]
     Slam(slam::SlamArgs),
+    #[command(after_help = examples::TRADEOFF)]
     Tradeoff(Box<tradeoff::TradeoffArgs>),
     /// Measures videos for a parent process (internal)
     #[command(name = plumbline_worker::child::CHILD_ARGUMENT, hide = true)]

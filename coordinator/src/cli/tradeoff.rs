@@ -185,7 +185,7 @@ impl TradeoffArgs {
     /// The points, the top one last.
     fn points(&self) -> Result<Vec<GridPoint>, Failure> {
         let mut rungs = Vec::new();
-        for rung in Rung::ALL {
+        for rung in Rung::CLASSICAL {
             rungs.push((rung, self.load(&ProfileName::Rung(rung))?.0));
         }
         let of_rung = |rung: Rung| {

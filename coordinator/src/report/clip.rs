@@ -107,9 +107,10 @@ pub(super) fn in_words(measured: &Measurement, last: u32) -> String {
         let placed = (series.first_frame..)
             .zip(values)
             .filter_map(|(frame, value)| Some((frame, (*value)?)));
+        // The first of equals.
         placed
             .filter(|(_, value)| value.is_finite())
-            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .reduce(|best, next| if next.1 > best.1 { next } else { best })
     };
     let mut words = format!("Errors over frames {} to {last}.", series.first_frame);
     for (name, values) in [

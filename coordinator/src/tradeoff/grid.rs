@@ -37,8 +37,8 @@ struct Knobs {
 /// What the motion-balanced measures follow is how finely the flow is searched (rows over 2^scale), not the
 /// height of the picture: so the grid goes up in that, from half of what `standard` has to twice.
 const KNOBS: [Knobs; 6] = [
+    Knobs::new(Rung::Draft, 128, 2, 1),
     Knobs::new(Rung::Draft, 128, 1, 1),
-    Knobs::new(Rung::Draft, 128, 0, 1),
     Knobs::new(Rung::Draft, 192, 0, 1),
     Knobs::new(Rung::Standard, 256, 1, 1),
     Knobs::new(Rung::Standard, 256, 0, 2),
@@ -76,7 +76,7 @@ impl Knobs {
 
 /// The points of a grid; `of_rung` gives a rung's profile with what the user has set for all of them.
 pub fn points(grid: Grid, of_rung: &dyn Fn(Rung) -> Profile) -> Vec<GridPoint> {
-    let rungs = Rung::ALL.into_iter().map(|rung| GridPoint {
+    let rungs = Rung::CLASSICAL.into_iter().map(|rung| GridPoint {
         name: rung.as_str().to_owned(),
         profile: of_rung(rung),
     });

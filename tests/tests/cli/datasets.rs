@@ -314,7 +314,7 @@ for s in samples:
     print(json.dumps([os.path.basename(s["__url__"]) + "/" + s["__key__"] + ".mp4", len(s["mp4"]), json.loads(s["json"])["seed"]]))
 "#;
     let Some(python) = python() else {
-        println!("skipped: no webdataset");
+        eprintln!("skipped: no webdataset");
         return;
     };
     let mut command = place.command(python);

@@ -24,14 +24,14 @@ pub(super) fn is_metadata(file: &str) -> bool {
     )
 }
 
+/// The columns of each file that metadata names.
+type Columns = BTreeMap<String, Map<String, Value>>;
+
 /// Columns by file; `None` where no column names files, so that it is another kind of metadata.
 ///
 /// # Errors
 /// [`CorpusError::List`] where it does not read, names a file twice, or one outside of its folder.
-pub(super) fn read(
-    tree: &dyn Tree,
-    file: &str,
-) -> Result<Option<BTreeMap<String, Map<String, Value>>>, CorpusError> {
+pub(super) fn read(tree: &dyn Tree, file: &str) -> Result<Option<Columns>, CorpusError> {
     let Some(content) = tree.read(file)? else {
         return Ok(None);
     };

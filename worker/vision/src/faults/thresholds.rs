@@ -43,7 +43,7 @@ pub enum ThresholdError {
 }
 
 impl FaultThresholds {
-    /// Of the profile `draft` (128 px high, DIS finest scale 2, adjacent pairs only), rendered clips.
+    /// Of pictures of 128 px (DIS finest scale 2, adjacent pairs only), rendered clips.
     ///
     /// This, `STANDARD` and `ACCURATE`: the 99th percentile over the clean clips of the rendered sample,
     /// seeds 1 to 6, 72 clips of 32 frames at 256×192 (48 with a static camera), as
