@@ -16,6 +16,11 @@ const LOOK_EVERY: Duration = Duration::from_secs(10);
 /// One label and its value.
 type Label = [(&'static str, &'static str); 1];
 
+const JOBS: Queue = Queue::Jobs(JobKind::Fused);
+
+/// The queues whose lengths are shown, by the names they are shown under.
+const WATCHED: [(&str, Queue); 2] = [("jobs", JOBS), ("dead", Queue::Dead)];
+
 /// The figures; clones count into the same.
 #[derive(Debug, Clone, Default)]
 pub struct Metrics {
@@ -27,8 +32,12 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Shows them in `registry`; those of queues where there are any.
+    /// Shows them in `registry`; those of queues where there are any. Every count is there from the start, so
+    /// that its first increase is one.
     pub fn register(&self, registry: &mut Registry, on_fleet: bool) {
+        for status in Status::ALL {
+            drop(self.answers.get_or_create(&[("status", status.as_str())]));
+        }
         let run = registry.sub_registry_with_prefix("plumbline_run");
         run.register("videos", "Videos of the corpus", self.videos.clone());
         let about = "Videos measured, by this and earlier runs into the same OUT";
@@ -36,6 +45,9 @@ impl Metrics {
         let about = "Answers taken, by status of the row";
         run.register("answers", about, self.answers.clone());
         if on_fleet {
+            for (name, _) in WATCHED {
+                drop(self.ready.get_or_create(&[("queue", name)]));
+            }
             let queue = registry.sub_registry_with_prefix("plumbline_queue");
             let about = "Messages that wait for a receiver, by queue";
             queue.register("ready", about, self.ready.clone());
@@ -67,13 +79,12 @@ impl Metrics {
     }
 
     async fn look(&self, broker: &dyn Broker) -> Result<(), QueueError> {
-        let jobs = Queue::Jobs(JobKind::Fused);
-        for (name, queue) in [("jobs", &jobs), ("dead", &Queue::Dead)] {
+        for (name, queue) in &WATCHED {
             let ready = broker.ready(queue).await?;
-            let label = [("queue", name)];
+            let label = [("queue", *name)];
             self.ready.get_or_create(&label).set(as_gauge(ready));
         }
-        self.workers.set(as_gauge(broker.consumers(&jobs).await?));
+        self.workers.set(as_gauge(broker.consumers(&JOBS).await?));
         Ok(())
     }
 }

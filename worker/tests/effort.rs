@@ -8,46 +8,17 @@
     reason = "what cannot be measured fails the test"
 )]
 
-use std::os::unix::ffi::OsStrExt;
-use std::path::Path;
+mod clip;
 
-use plumbline_common::file_time::modified_ns;
-use plumbline_common::id::VideoId;
-use plumbline_common::message::{Job, Location, Outcome};
 use plumbline_common::row::{Measurement, Scene};
 use plumbline_sample::{ClipSpec, camera_corpus};
-use plumbline_vision::image::Rgb8;
-use plumbline_worker::encode::Mp4Writer;
-use plumbline_worker::measure::measure;
 use plumbline_worker::profile::{Profile, Rung};
+
+use clip::{measured, write};
 
 /// Largest change of `reproj_px`, as a share of it. It is large, which is why no rung follows the flow: up to 0.30 was
 /// seen on recorded clips and 0.28 on rendered ones.
 const MOST_CHANGE: f64 = 0.5;
-
-fn measured(path: &Path, profile: &Profile) -> Outcome {
-    let metadata = std::fs::metadata(path).unwrap();
-    let job = Job {
-        video: VideoId::new("clip").unwrap(),
-        location: Location::File(path.as_os_str().as_bytes().to_vec()),
-        bytes: metadata.len(),
-        modified_ns: modified_ns(&metadata).unwrap(),
-        profile: profile.canonical().unwrap(),
-    };
-    measure(&job).unwrap()
-}
-
-fn write(clip: &ClipSpec, path: &Path) {
-    let (width, height) = (clip.width as u32, clip.height as u32);
-    let mut writer = Mp4Writer::create(path, width, height, clip.fps).unwrap();
-    for frame in clip.render_frames() {
-        let frame = frame.unwrap();
-        writer
-            .push(&Rgb8::new(frame.width, frame.height, frame.rgb).unwrap())
-            .unwrap();
-    }
-    writer.finish().unwrap();
-}
 
 /// The row without what longer edges enter.
 fn without_geometry(mut row: Measurement) -> Measurement {

@@ -11,33 +11,21 @@
     reason = "what cannot be measured fails the test"
 )]
 
-use std::os::unix::ffi::OsStrExt;
+mod clip;
+
 use std::path::Path;
 
-use plumbline_common::file_time::modified_ns;
-use plumbline_common::id::VideoId;
-use plumbline_common::message::{Job, Location, Outcome};
+use plumbline_common::message::Outcome;
 use plumbline_common::row::{GeometryMethod, Scene};
-use plumbline_sample::{ClipSpec, Family, sample_corpus};
-use plumbline_vision::image::Rgb8;
-use plumbline_worker::encode::Mp4Writer;
-use plumbline_worker::measure::measure;
+use plumbline_sample::{Family, sample_corpus};
 use plumbline_worker::profile::{Profile, Rung};
 
 fn measured(path: &Path, force_adjustment: bool) -> Outcome {
-    let metadata = std::fs::metadata(path).unwrap();
     let profile = Profile {
         force_adjustment,
         ..Profile::new(Rung::Standard)
     };
-    let job = Job {
-        video: VideoId::new("clip").unwrap(),
-        location: Location::File(path.as_os_str().as_bytes().to_vec()),
-        bytes: metadata.len(),
-        modified_ns: modified_ns(&metadata).unwrap(),
-        profile: profile.canonical().unwrap(),
-    };
-    measure(&job).unwrap()
+    clip::measured(path, &profile)
 }
 
 /// Largest change of `reproj_px`, px of a 256-px-high picture: up to 0.011 was seen on three rendered and
@@ -67,18 +55,6 @@ fn both(path: &Path) -> [f64; 2] {
     [plain.reproj_px.unwrap(), forced.reproj_px.unwrap()]
 }
 
-fn write(clip: &ClipSpec, path: &Path) {
-    let (width, height) = (clip.width as u32, clip.height as u32);
-    let mut writer = Mp4Writer::create(path, width, height, clip.fps).unwrap();
-    for frame in clip.render_frames() {
-        let frame = frame.unwrap();
-        writer
-            .push(&Rgb8::new(frame.width, frame.height, frame.rgb).unwrap())
-            .unwrap();
-    }
-    writer.finish().unwrap();
-}
-
 #[test]
 fn forced_adjustment_changes_static_clips_little() {
     let directory = tempfile::tempdir().unwrap();
@@ -88,7 +64,7 @@ fn forced_adjustment_changes_static_clips_little() {
             .find(|clip| clip.fault.is_none() && clip.family == family)
             .unwrap();
         let path = directory.path().join(format!("{}.mp4", clip.name));
-        write(&clip, &path);
+        clip::write(&clip, &path);
         let [plain, forced] = both(&path);
         println!("{}: {plain:.3} px, forced {forced:.3} px", clip.name);
         assert!((plain - forced).abs() < MOST_CHANGE_PX, "{plain} {forced}");

@@ -15,7 +15,7 @@ pub fn spearman(pairs: &[(f64, f64)]) -> Option<f64> {
         xx += (x - mean) * (x - mean);
         yy += (y - mean) * (y - mean);
     }
-    (xx > 0.0 && yy > 0.0).then(|| xy / (xx.sqrt() * yy.sqrt()))
+    (xx > 0.0 && yy > 0.0).then(|| xy / (xx * yy).sqrt())
 }
 
 /// Ranks from 1; equal values share the mean of theirs.
@@ -58,7 +58,7 @@ pub fn kendall(pairs: &[(f64, f64)]) -> Option<f64> {
         return None;
     }
     let same = all - tied_x - tied_y + tied_both - opposite;
-    Some((same - opposite) as f64 / ((untied.0 as f64).sqrt() * (untied.1 as f64).sqrt()))
+    Some((same - opposite) as f64 / (untied.0 as f64 * untied.1 as f64).sqrt())
 }
 
 /// Pairs among n.

@@ -40,7 +40,8 @@ enum What {
 #[derive(Debug, Args)]
 struct FitArgs {
     /// Rows to freeze: a run's OUT, scores.parquet or .jsonl, or directories of parts
-    #[arg(required_unless_present = "faults", conflicts_with_all = ["faults", "MeasuringArgs", "ComputingArgs"], value_name = "SCORES")]
+    // Arguments one by one where their struct holds others, since such a struct's group has no members.
+    #[arg(required_unless_present = "faults", conflicts_with_all = ["faults", "conditioning_frames", "warmup", "profile", "SettingArgs"], value_name = "SCORES")]
     scores: Vec<PathBuf>,
     /// Clean clips of the camera and codec to be judged: videos, directories, globs or lists
     #[arg(long, num_args = 1.., value_name = "CLEAN")]

@@ -17,7 +17,7 @@ use serde_json::{Map, Value};
 
 use super::dataset::{self, place_missing, place_object};
 use super::files::ignore;
-use super::{CorpusError, Entry, Ignored, list};
+use super::{CorpusError, Entry, list};
 pub(super) use found::{Below, FoundObject};
 use found::{is_looked_at, sorted_out};
 
@@ -188,7 +188,7 @@ async fn look(
         bucket: address.bucket.clone(),
         key: prefix.clone(),
     };
-    let mut ignored = Ignored::new();
+    let mut passed_over = Vec::new();
     let mut listed = BTreeMap::new();
     let mut pages = store.list(&prefix);
     while let Some(page) = pages.try_next().await? {
@@ -204,13 +204,15 @@ async fn look(
             if is_looked_at(name) {
                 listed.insert(name.to_owned(), meta);
             } else {
-                ignore(&mut ignored, Path::new(name));
+                passed_over.push(name.to_owned());
             }
         }
     }
     let mut below = sorted_out(root, store, listed, false).await?;
-    for (extension, count) in ignored {
-        *below.ignored.entry(extension).or_default() += count;
+    let others = passed_over.iter().filter(|name| !below.is_of_lerobot(name));
+    let others: Vec<_> = others.map(Path::new).collect();
+    for other in others {
+        ignore(&mut below.ignored, other);
     }
     Ok(Looked::Objects(below))
 }

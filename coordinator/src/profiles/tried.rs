@@ -17,13 +17,19 @@ use crate::picture::png;
 /// Frames of the clip: enough for every signal and for the dense adjustment to be asked.
 const FRAMES: usize = 12;
 
-/// Measures the clip with `profile`, without what takes minutes for each frame. A profile that finds too little in it (too small a picture, too few
-/// frames) is none to refuse; one whose row is `failed` is.
+/// Measures the clip with `profile`, without what takes minutes for each frame. A profile that finds too
+/// little in it (too small a picture, too few frames) is none to refuse; one whose row is `failed` is.
 ///
 /// # Errors
 /// [`ProfileError::Unusable`] with the row's reason; [`ProfileError::NotTried`] where the clip cannot be
 /// made or no child starts.
 pub async fn tried(profile: &Profile, slots: &Slots) -> Result<(), ProfileError> {
+    if profile.edge_spans.is_empty() {
+        return Err(ProfileError::Unusable {
+            reason: "edge_spans is empty; name at least 1, the distance of adjacent frames"
+                .to_owned(),
+        });
+    }
     let not_tried = |error: &dyn std::fmt::Display| ProfileError::NotTried(error.to_string());
     let place = tempfile::tempdir().map_err(|error| not_tried(&error))?;
     let spec = ClipSpec {

@@ -160,10 +160,13 @@ mod tests {
         let keep = "50%".parse().unwrap();
         let top = rows(&[1.0, 2.0, 3.0, 4.0]);
         let same = compare(&rows(&[10.0, 20.0, 30.0, 40.0]), &top, &keep);
-        assert_eq!((same.spearman, same.kendall), (Some(1.0), Some(1.0)));
+        // Sums of ranks round.
+        for one in [same.spearman, same.kendall] {
+            assert!((one.unwrap() - 1.0).abs() < 1e-12, "{one:?}");
+        }
         assert_eq!((same.videos, same.flips.count()), (4, 0));
         assert!(same.score_error_p95.unwrap() < 1e-12);
-        assert_eq!(same.spearman_by_signal["reproj_px"], Some(1.0));
+        assert!((same.spearman_by_signal["reproj_px"].unwrap() - 1.0).abs() < 1e-12);
         assert_eq!(same.spearman_by_signal["piecewise_residual"], None);
         // The second and the third change places across the cut.
         let other = compare(&rows(&[1.0, 3.0, 2.0, 4.0]), &top, &keep);

@@ -358,7 +358,7 @@ fn a_video_folder_carries_its_metadata() {
     }
     let csv = "file_name,prompt,seed\n0.mp4,pick,0\n1.mp4,push,1\ngone.mp4,push,2\n";
     std::fs::write(place.video("train/metadata.csv"), csv).unwrap();
-    let rows = [json!({"file_name": "2.mp4", "prompt": "pick", "seed": 2})];
+    let rows = [json!({"file_name": "2.mp4", "prompt": "pick", "seed": "2"})];
     plumbline_tests::datasets::write_parquet(&place.video("test/metadata.parquet"), &rows);
     score(&place, &["videos", "--out", "out", "--group-by", "prompt"])
         .expect_code(3)

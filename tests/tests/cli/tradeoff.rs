@@ -10,12 +10,17 @@ use serde_json::Value;
 /// A name that a page, a terminal and a file system must survive.
 const HOSTILE: &str = "<img src=x onerror=alert(1)>&\"'";
 
-/// Points that take no time: coarse flow at small heights.
+/// Points that take no time: coarse flow at small heights. The finest looks across frames, too, without
+/// which no broken frame is seen.
 fn write_points(place: &Place) {
-    for (name, height, scale) in [("low", 32, 1), (HOSTILE, 48, 0), ("high", 64, 0)] {
+    for (name, height, scale, spans) in [
+        ("low", 32, 1, "[1]"),
+        (HOSTILE, 48, 0, "[1]"),
+        ("high", 64, 0, "[1, 2]"),
+    ] {
         let step = height / 16;
         let text = format!(
-            "rung = \"draft\"\nworking_height_px = {height}\n[flow]\nfinest_scale = {scale}\n[grid]\nstep = {step}\n"
+            "rung = \"draft\"\nworking_height_px = {height}\nedge_spans = {spans}\n[flow]\nfinest_scale = {scale}\n[grid]\nstep = {step}\n"
         );
         std::fs::write(place.path(&format!("{name}.toml")), text).unwrap();
     }

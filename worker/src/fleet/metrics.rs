@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use plumbline_common::row::Cost;
+use plumbline_common::row::{Cost, Status};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
@@ -11,6 +11,27 @@ use prometheus_client::registry::{Registry, Unit};
 
 /// One label and its value.
 type Label = [(&'static str, &'static str); 1];
+
+/// What becomes of jobs beside rows.
+const OTHER_OUTCOMES: [&str; 5] = [
+    "dropped",
+    "retried",
+    "handed_back",
+    "unreadable",
+    "repeated",
+];
+
+/// What a job's time goes into.
+const STAGES: [&str; 8] = [
+    "fetch",
+    "decode",
+    "flow",
+    "signals",
+    "geometry",
+    "photometric",
+    "tracking",
+    "publish",
+];
 
 /// The counters; clones count into the same.
 #[derive(Debug, Clone)]
@@ -41,8 +62,15 @@ impl Default for Metrics {
 }
 
 impl Metrics {
-    /// Shows them in `registry`.
+    /// Shows them in `registry`. Every count is there from the start, so that its first increase is one.
     pub fn register(&self, registry: &mut Registry) {
+        let rows = Status::ALL.map(Status::as_str);
+        for outcome in rows.into_iter().chain(OTHER_OUTCOMES) {
+            drop(self.jobs.get_or_create(&[("outcome", outcome)]));
+        }
+        for stage in STAGES {
+            drop(self.stages.get_or_create(&[("stage", stage)]));
+        }
         let registry = registry.sub_registry_with_prefix("plumbline_worker");
         let about = "Jobs by what became of them: a row's status, dropped (the run is gone), retried, handed_back (the worker was told to stop), unreadable, repeated (answered before)";
         registry.register("jobs", about, self.jobs.clone());

@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use plumbline_common::message::Thumbnails;
 use plumbline_common::row::{Measurement, Scene, Status};
 use plumbline_vision::consistency::{
-    EndPointError, Evidence, GridFlow, NormalisedFrame, Structure, worldscore_epe,
+    ConsistencyParams, EndPointError, Evidence, FrameStructure, GridFlow, NormalisedFrame,
+    Structure, worldscore_epe,
 };
 use plumbline_vision::faults::{ChangePair, FaultKind, FaultSeries};
 use plumbline_vision::flow::Flow;
@@ -26,7 +27,7 @@ use super::fill;
 use super::geometry::DenseWork;
 use super::learned::{LearnedMeasures, LearnedWork};
 use super::network_flow::NetworkFlow;
-use super::observers::Observers;
+use super::observers::{Across, Observers};
 use super::thumbnail::thumbnails;
 use super::verdict::{PairEvidence, verdict};
 use crate::decode::{DecodedFrame, VideoInfo};
@@ -100,6 +101,7 @@ pub(super) struct Prepared {
     dis: Rc<DisFrame>,
     network: Option<Rc<SeaRaftFrame>>,
     pub(super) normalised: Rc<NormalisedFrame>,
+    structure: Rc<FrameStructure>,
 }
 
 /// One adjacent pair's numbers.
@@ -120,9 +122,19 @@ struct Peak {
 
 /// Forward and backward flow between two frames, and what changed.
 pub(super) struct Edge {
-    from: u32,
     flows: Flows,
     pub(super) change: ChangePair,
+}
+
+/// What the edges that end at one frame leave for the observers.
+#[derive(Default)]
+struct Seen {
+    /// The edge from the frame before.
+    adjacent: Option<Edge>,
+    /// What changed since the frame before that.
+    across: Across,
+    /// Flows that were searched for, by the frame that they start from.
+    flows: Vec<(u32, Flows)>,
 }
 
 /// Pairs of frames, of which each has a flow there and one back.
@@ -134,6 +146,20 @@ pub(super) struct FlowWork {
     pub(super) pairs_in_full: u64,
     /// Frames that are the one before again, bit for bit.
     pub(super) frames_repeated: u64,
+}
+
+/// Both flows of a pair on the evidence grid.
+fn grid_flows(
+    flows: &PairFlows,
+    params: &ConsistencyParams,
+    to: u32,
+) -> Result<[GridFlow; 2], ClipError> {
+    let [ahead, back] = &flows.ways;
+    let error = at("consistency", to);
+    Ok([
+        GridFlow::new(ahead, params).map_err(&error)?,
+        GridFlow::new(back, params).map_err(&error)?,
+    ])
 }
 
 /// A frame at the working size: the profile's height, aspect kept.
@@ -244,69 +270,98 @@ impl<'a> Clip<'a> {
         self.edges.sized(video, (rgb.width, rgb.height));
         let current = self.prepare(frame.index, rgb)?;
         let recent = self.recent.clone();
-        let adjacent = match recent.back() {
-            Some(earlier) => Some(self.adjacent(earlier, &current)?),
-            None => None,
-        };
-        let mut longer = Vec::new();
+        let mut seen = Seen::default();
+        if let Some(earlier) = recent.back() {
+            seen.adjacent = Some(self.adjacent(earlier, &current)?);
+        }
         for earlier in &recent {
             let (from, to) = (earlier.index, current.index);
             if !self.profile.edge_spans.contains(&(to - from)) {
                 continue;
             }
             self.flow_work.pairs_in_full += 1;
-            match &adjacent {
-                Some((edge, end_point)) if to - from == 1 => {
-                    self.geometric(|edges| edges.measured(from, to, &edge.flows, end_point))?;
+            match &seen.adjacent {
+                Some(edge) if to - from == 1 => {
+                    self.geometric(|edges| edges.measured(from, to, &edge.flows))?;
                 }
-                _ => {
-                    let adjacent = adjacent.as_ref().map(|(edge, _)| edge);
-                    longer.extend(self.longer(earlier, &current, adjacent)?);
-                }
+                _ => self.longer(earlier, &current, &mut seen)?,
             }
         }
-        longer.extend(adjacent.map(|(edge, _)| edge));
-        self.observe(&current, &longer)?;
+        self.observe(&current, &seen)?;
         self.remember(current);
         Ok(())
     }
 
-    /// The edge to the frame before, and its end-point error; its numbers are taken.
-    fn adjacent(
-        &mut self,
-        earlier: &Prepared,
-        current: &Prepared,
-    ) -> Result<(Edge, EndPointError), ClipError> {
+    /// The edge to the frame before; its numbers are taken.
+    fn adjacent(&mut self, earlier: &Prepared, current: &Prepared) -> Result<Edge, ClipError> {
         let edge = self.edge(earlier, current)?;
         let end_point = self.end_point(current.index, &edge.flows)?;
         self.photometric([earlier, current], &edge, &end_point)?;
         self.edges.adjacent(Rc::clone(&edge.flows));
-        Ok((edge, end_point))
+        Ok(edge)
     }
 
-    /// An edge to a frame further back, for the motion models. It is returned where something else may read it:
-    /// with flows of its own, which it has where none may be followed or a bad frame may lie between.
+    /// An edge to a frame further back, for the motion models: with flows of its own, where none may be followed.
+    /// What changed is seen where a bad frame may lie between.
     fn longer(
         &mut self,
         earlier: &Prepared,
         current: &Prepared,
-        adjacent: Option<&Edge>,
-    ) -> Result<Option<Edge>, ClipError> {
+        seen: &mut Seen,
+    ) -> Result<(), ClipError> {
         let (from, to) = (earlier.index, current.index);
-        if !self.profile.follow_flow {
-            let edge = self.edge(earlier, current)?;
-            self.measured(from, to, &edge.flows)?;
-            return Ok(Some(edge));
+        if self.profile.follow_flow {
+            self.geometric(|edges| edges.followed(from, to))?;
+        } else {
+            let flows = self.flows(earlier, current)?;
+            self.geometric(|edges| edges.measured(from, to, &flows))?;
+            seen.flows.push((from, flows));
         }
-        self.geometric(|edges| edges.followed(from, to))?;
-        let is_read = match (&self.observers, adjacent) {
-            (Some(observers), Some(adjacent)) if to - from == 2 => observers.may_be_bad(adjacent),
-            _ => false,
+        if let Some(adjacent) = seen.adjacent.as_ref().filter(|_| to - from == 2)
+            && self.may_be_bad(adjacent, None)
+        {
+            let flows = match seen.flows.last() {
+                Some((start, flows)) if *start == from => Rc::clone(flows),
+                _ => self.flows(earlier, current)?,
+            };
+            seen.across = self.across(earlier, current, &flows, adjacent)?;
+        }
+        Ok(())
+    }
+
+    fn may_be_bad(&self, adjacent: &Edge, ahead: Option<&Plane>) -> bool {
+        let observers = self.observers.as_ref();
+        observers.is_some_and(|observers| observers.may_be_bad(adjacent, ahead))
+    }
+
+    /// What changed across the frame between two: one way, and the other only where the frame may still be bad.
+    fn across(
+        &mut self,
+        earlier: &Prepared,
+        later: &Prepared,
+        flows: &PairFlows,
+        adjacent: &Edge,
+    ) -> Result<Across, ClipError> {
+        let started = Instant::now();
+        let params = &self.profile.consistency;
+        let error = at("consistency", later.index);
+        let [ahead, back] = grid_flows(flows, params, later.index)?;
+        let (first, second) = (&earlier.normalised, &later.normalised);
+        let forward = Evidence::new(&ahead, &back, first, second, params).map_err(&error)?;
+        let forward_change = forward.change_map();
+        let across = if self.may_be_bad(adjacent, Some(&forward_change)) {
+            let backward = Evidence::new(&back, &ahead, second, first, params).map_err(&error)?;
+            Across::Whole(Box::new(ChangePair {
+                backward_change: backward.change_map(),
+                forward,
+                forward_change,
+                backward,
+            }))
+        } else {
+            Across::Ahead(forward_change)
         };
-        match is_read {
-            true => Ok(Some(self.edge(earlier, current)?)),
-            false => Ok(None),
-        }
+        self.spent.signals += started.elapsed();
+        Ok(across)
     }
 
     /// Whether the clip is to be decoded once more, frame by frame into [`Self::push_again`].
@@ -336,19 +391,13 @@ impl<'a> Clip<'a> {
                 1 => self.geometric(|edges| edges.keep(from, to))?,
                 span if self.profile.edge_spans.contains(&span) => {
                     let flows = self.flows(&earlier, &current)?;
-                    self.measured(from, to, &flows)?;
+                    self.geometric(|edges| edges.measured(from, to, &flows))?;
                 }
                 _ => {}
             }
         }
         self.remember(current);
         Ok(())
-    }
-
-    /// An edge whose flows are not followed, for the motion models.
-    fn measured(&mut self, from: u32, to: u32, flows: &PairFlows) -> Result<(), ClipError> {
-        let end_point = self.end_point(to, flows)?;
-        self.geometric(|edges| edges.measured(from, to, flows, &end_point))
     }
 
     fn remember(&mut self, current: Rc<Prepared>) {
@@ -369,6 +418,7 @@ impl<'a> Clip<'a> {
                 dis: Rc::clone(&last.dis),
                 network: last.network.clone(),
                 normalised: Rc::clone(&last.normalised),
+                structure: Rc::clone(&last.structure),
             }));
         }
         let grey = rgb.grey();
@@ -386,6 +436,7 @@ impl<'a> Clip<'a> {
             rgb,
             dis: Rc::new(dis),
             network,
+            structure: Rc::new(FrameStructure::new(&normalised)),
             normalised: Rc::new(normalised),
         }))
     }
@@ -422,26 +473,25 @@ impl<'a> Clip<'a> {
     fn end_point(&mut self, to: u32, flows: &PairFlows) -> Result<EndPointError, ClipError> {
         let started = Instant::now();
         let [there, back] = &flows.ways;
-        let measured = EndPointError::new(there, back, &self.profile.consistency);
+        let measured = EndPointError::without_map(there, back, &self.profile.consistency);
         self.spent.signals += started.elapsed();
         measured.map_err(at("consistency", to))
     }
 
-    /// The evidence of a step of constant motion, earlier → later, where there is no edge.
+    /// The evidence of a step of constant motion, earlier → later, between frames that are not adjacent.
     fn step_evidence(
         &mut self,
         earlier: &Prepared,
         later: &Prepared,
+        flows: &PairFlows,
     ) -> Result<Evidence, ClipError> {
-        let flows = self.flows(earlier, later)?;
         let started = Instant::now();
         let params = &self.profile.consistency;
-        let error = at("consistency", later.index);
-        let [ahead, back] = [0, 1].map(|k| GridFlow::new(&flows.ways[k], params).map_err(&error));
+        let [ahead, back] = grid_flows(flows, params, later.index)?;
         let (first, second) = (&earlier.normalised, &later.normalised);
-        let evidence = Evidence::new(&ahead?, &back?, first, second, params).map_err(&error);
+        let evidence = Evidence::new(&ahead, &back, first, second, params);
         self.spent.signals += started.elapsed();
-        evidence
+        evidence.map_err(at("consistency", later.index))
     }
 
     /// Both flows between two frames, and the evidence on them.
@@ -450,8 +500,7 @@ impl<'a> Clip<'a> {
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
-        let ahead = GridFlow::new(&flows.ways[0], params).map_err(&error)?;
-        let back = GridFlow::new(&flows.ways[1], params).map_err(&error)?;
+        let [ahead, back] = grid_flows(&flows, params, later.index)?;
         let evidence = |flow, other, first: &Prepared, second: &Prepared| {
             Evidence::new(flow, other, &first.normalised, &second.normalised, params)
                 .map_err(&error)
@@ -461,18 +510,13 @@ impl<'a> Clip<'a> {
             evidence(&back, &ahead, later, earlier)?,
         );
         self.spent.signals += started.elapsed();
-        Ok(Edge {
-            from: earlier.index,
-            flows,
-            change,
-        })
+        Ok(Edge { flows, change })
     }
 
     /// Faults, contact, and the steps of constant visual motion.
-    fn observe(&mut self, current: &Rc<Prepared>, edges: &[Edge]) -> Result<(), ClipError> {
+    fn observe(&mut self, current: &Rc<Prepared>, seen: &Seen) -> Result<(), ClipError> {
         let started = Instant::now();
-        let find = |from: u32| edges.iter().find(move |edge| edge.from == from);
-        let span = |span: u32| find(current.index.checked_sub(span)?);
+        let adjacent = seen.adjacent.as_ref();
         let mut observers = match self.observers.take() {
             Some(observers) => observers,
             None => {
@@ -484,19 +528,23 @@ impl<'a> Clip<'a> {
                 observers
             }
         };
-        observers.frame(current, span(1), span(2))?;
+        observers.frame(current, adjacent, &seen.across)?;
         let is_step = observers.is_step(current)?;
         self.spent.signals += started.elapsed();
         if is_step {
             let evidence = match observers.kept() {
                 None => None,
-                Some(kept) => Some(match find(kept.index) {
-                    Some(edge) => edge.change.forward.clone(),
-                    None => {
-                        let span = current.index - kept.index;
+                Some(kept) => Some(match (current.index - kept.index, adjacent) {
+                    (1, Some(edge)) => edge.change.forward.clone(),
+                    (span, _) => {
                         let is_edge = self.profile.edge_spans.contains(&span);
                         self.flow_work.pairs_in_full += u64::from(!is_edge);
-                        self.step_evidence(kept, current)?
+                        let known = seen.flows.iter().find(|(from, _)| *from == kept.index);
+                        let flows = match known {
+                            Some((_, flows)) => Rc::clone(flows),
+                            None => self.flows(kept, current)?,
+                        };
+                        self.step_evidence(kept, current, &flows)?
                     }
                 }),
             };
@@ -552,8 +600,8 @@ impl<'a> Clip<'a> {
             }
         }
         let structure = [
-            Structure::new(&edge.change.forward, &earlier.normalised).map_err(&error)?,
-            Structure::new(&edge.change.backward, &later.normalised).map_err(&error)?,
+            Structure::new(&edge.change.forward, &earlier.structure).map_err(&error)?,
+            Structure::new(&edge.change.backward, &later.structure).map_err(&error)?,
         ];
         self.pairs.push(Pair {
             frame: later.index,

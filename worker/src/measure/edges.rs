@@ -9,7 +9,7 @@
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use plumbline_vision::consistency::EndPointError;
+use plumbline_vision::consistency::EndPoints;
 use plumbline_vision::flow::Flow;
 use plumbline_vision::scene::{
     ClipGeometry, CorrespondenceField, EdgeInput, MotionModel, RigidSolver, SceneError,
@@ -98,13 +98,15 @@ impl<'a> Edges<'a> {
         from: u32,
         to: u32,
         flows: &PairFlows,
-        end_point: &EndPointError,
     ) -> Result<(), ClipError> {
         let [forward, backward] = &flows.ways;
         let (width, height) = (forward.width, forward.height);
-        let unit_px = self.profile.consistency.reference_height_px / height as f64;
+        let consistency = &self.profile.consistency;
+        let unit_px = consistency.reference_height_px / height as f64;
+        let end_points = EndPoints::new(forward, backward, consistency);
+        let end_points = end_points.map_err(at("consistency", to))?;
         let weight_at = |x: usize, y: usize| {
-            let error_px = f64::from(end_point.error_px[y * width + x]?);
+            let error_px = f64::from(end_points.error_px(x, y)?);
             Some((1.0 / (1.0 + error_px * error_px)).max(LEAST_WEIGHT))
         };
         let grid = &self.profile.grid;

@@ -5,8 +5,9 @@ use std::rc::Rc;
 
 use plumbline_vision::consistency::Evidence;
 use plumbline_vision::faults::{
-    FaultEvent, FaultInput, FaultKind, FaultSeries, FaultStream, FaultThresholds,
+    ChangePair, FaultEvent, FaultInput, FaultKind, FaultSeries, FaultStream, FaultThresholds,
 };
+use plumbline_vision::image::Plane;
 use plumbline_vision::signals::arc::{ArcClip, ArcSelector, ArcSignals};
 use plumbline_vision::signals::contact::{Contact, ContactStream};
 
@@ -21,6 +22,34 @@ pub(super) struct Observers {
     selector: ArcSelector,
     arc: ArcSignals,
     kept: Option<Rc<Prepared>>,
+}
+
+/// What is known of the change across a frame, between the frames before and after it.
+#[derive(Debug, Default)]
+pub(super) enum Across {
+    /// Nothing, and nothing needs it.
+    #[default]
+    Unread,
+    /// That of the way there, which tells that the frame between is not bad.
+    Ahead(Plane),
+    /// All of it.
+    Whole(Box<ChangePair>),
+}
+
+impl Across {
+    fn whole(&self) -> Option<&ChangePair> {
+        match self {
+            Self::Whole(change) => Some(change),
+            Self::Ahead(_) | Self::Unread => None,
+        }
+    }
+
+    fn ahead(&self) -> Option<&Plane> {
+        match self {
+            Self::Ahead(change) => Some(change),
+            Self::Whole(_) | Self::Unread => None,
+        }
+    }
 }
 
 /// What they saw.
@@ -53,8 +82,10 @@ impl Observers {
         self.faults.keep_maps(wanted);
     }
 
-    /// Leaves scores out that can be neither an event nor a verdict of the row; they are recorded as 0.
+    /// Leaves scores out that can be neither an event nor a verdict of the row; they are recorded as 0. Likewise
+    /// the places of scores that are no event.
     pub(super) fn only_what_the_row_shows(&mut self, profile: &Profile) {
+        self.faults.place_only_events(profile.fault_thresholds);
         // Without flows across a frame there is no V, however small.
         if profile.edge_spans.contains(&2) {
             let reported = profile.fault_thresholds.bad_frame.unwrap_or(f64::INFINITY);
@@ -63,23 +94,25 @@ impl Observers {
         }
     }
 
-    /// Whether the frame before the one that `adjacent` leads to may be bad: what the flow across it decides.
-    pub(super) fn may_be_bad(&self, adjacent: &Edge) -> bool {
-        self.faults.may_be_bad(&adjacent.change)
+    /// Whether the frame before the one that `adjacent` leads to may be bad: what the change across it decides,
+    /// of which `ahead` is the map of the way there, where it is known.
+    pub(super) fn may_be_bad(&self, adjacent: &Edge, ahead: Option<&Plane>) -> bool {
+        self.faults.may_be_bad(&adjacent.change, ahead)
     }
 
-    /// Takes the next frame with its edges to the frame before and to the one before that.
+    /// Takes the next frame with its edge to the frame before and the change since the one before that.
     pub(super) fn frame(
         &mut self,
         current: &Prepared,
         adjacent: Option<&Edge>,
-        skip: Option<&Edge>,
+        across: &Across,
     ) -> Result<(), ClipError> {
         let input = FaultInput {
             frame: current.index as usize,
             picture: &current.normalised,
             adjacent: adjacent.map(|edge| &edge.change),
-            skip: skip.map(|edge| &edge.change),
+            skip: across.whole(),
+            skip_ahead: across.ahead(),
         };
         self.faults
             .push(input)

@@ -1,8 +1,8 @@
-//! 1 − exp(−x) for x ≥ 0 as `libm::expm1f` computes it, bit for bit, without branches, so that kernels do
-//! it in whole vectors.
+//! exp(−x) and 1 − exp(−x) for x ≥ 0 and ln(x) for positive normal x as `libm::expf`, `libm::expm1f` and
+//! `libm::logf` compute them, bit for bit, without branches, so that kernels do them in whole vectors.
 //!
-//! Source: FreeBSD's s_expm1f.c by way of the `libm` crate; its cases for negative arguments become
-//! selections. Not defined for negative or NaN x.
+//! Sources: FreeBSD's e_expf.c, s_expm1f.c and e_logf.c by way of the `libm` crate; the cases for negative
+//! arguments become selections. Not defined for other or NaN x.
 
 use crate::flow::simd::whole;
 
@@ -19,6 +19,65 @@ const THREE_HALVES_LN2: f32 = f32::from_bits(0x3f85_1592);
 const TINY: f32 = f32::from_bits(0x3300_0000);
 const EXPONENT_SHIFT: u32 = 23;
 const EXPONENT_BIAS: u32 = 0x7f;
+
+/// The largest x for which [`exp_of_minus`] is defined: beyond, 2^−halvings is no normal number.
+pub(crate) const MOST_NORMAL: f32 = 86.0;
+const EXP_LN2_HI: f32 = f32::from_bits(0x3f31_7200);
+const EXP_LN2_LO: f32 = f32::from_bits(0x35bf_be8e);
+const P1: f32 = f32::from_bits(0x3e2a_aa8f);
+const P2: f32 = f32::from_bits(0xbb35_5215);
+/// 2⁻¹³: up to it the result is 1 − x.
+const SMALL: f32 = f32::from_bits(0x3900_0000);
+
+/// exp(−`exponent`), at most [`MOST_NORMAL`].
+#[inline(always)]
+pub(crate) fn exp_of_minus(exponent: f32) -> f32 {
+    let many = (INV_LN2 * exponent + 0.5).floor();
+    let few = if exponent > HALF_LN2 { 1.0 } else { 0.0 };
+    let halvings = if exponent > THREE_HALVES_LN2 {
+        many
+    } else {
+        few
+    };
+    let (high, low) = (halvings * EXP_LN2_HI - exponent, -(halvings * EXP_LN2_LO));
+    let reduced = high - low;
+    let square = reduced * reduced;
+    let c = reduced - square * (P1 + square * P2);
+    let power = 1.0 + (reduced * c / (2.0 - c) - low + high);
+    let scale = f32::from_bits((EXPONENT_BIAS - whole(halvings)) << EXPONENT_SHIFT);
+    if exponent > SMALL {
+        power * scale
+    } else {
+        1.0 - exponent
+    }
+}
+
+/// √½ rounded down, from which on the mantissa of a logarithm's argument is taken.
+const SQRT_HALF: u32 = 0x3f35_04f3;
+const ONE: u32 = 0x3f80_0000;
+const MANTISSA: u32 = 0x007f_ffff;
+const LG1: f32 = 0.666_666_6;
+const LG2: f32 = 0.400_009_72;
+const LG3: f32 = 0.284_987_87;
+const LG4: f32 = 0.242_790_79;
+
+/// ln(`value`).
+#[inline(always)]
+pub(crate) fn ln(value: f32) -> f32 {
+    let bits = value.to_bits().wrapping_add(ONE - SQRT_HALF);
+    let doublings = (bits >> EXPONENT_SHIFT) as i32 - EXPONENT_BIAS as i32;
+    let reduced = f32::from_bits((bits & MANTISSA) + SQRT_HALF);
+    let f = reduced - 1.0;
+    let s = f / (2.0 + f);
+    let z = s * s;
+    let w = z * z;
+    let t1 = w * (LG2 + w * LG4);
+    let t2 = z * (LG1 + w * LG3);
+    let r = t2 + t1;
+    let half = 0.5 * f * f;
+    let k = doublings as f32;
+    s * (half + r) + k * LN2_LO - half + f + k * LN2_HI
+}
 
 /// 1 − exp(−`exponent`).
 #[inline(always)]
@@ -73,6 +132,30 @@ mod tests {
             let x = f32::from_bits(bits);
             let (fast, slow) = (one_minus_exp_of_minus(x), -libm::expm1f(-x));
             assert_eq!(fast.to_bits(), slow.to_bits(), "{x}");
+        }
+    }
+
+    #[test]
+    fn exponentials_equal_libm_bit_for_bit() {
+        let bounds = [SMALL, HALF_LN2, THREE_HALVES_LN2, 1.0, 20.0];
+        let around = bounds.iter().flat_map(|bound| {
+            let bits = bound.to_bits();
+            bits - 2000..=bits + 2000
+        });
+        for bits in (0..=MOST_NORMAL.to_bits()).step_by(1009).chain(around) {
+            let x = f32::from_bits(bits);
+            let (fast, slow) = (exp_of_minus(x), libm::expf(-x));
+            assert_eq!(fast.to_bits(), slow.to_bits(), "{x}");
+        }
+    }
+
+    #[test]
+    fn logarithms_equal_libm_bit_for_bit() {
+        // Every 101st positive normal number; 1 and its neighbours.
+        let normal = (0x0080_0000u32..0x7f80_0000).step_by(101);
+        for bits in normal.chain(ONE - 3..ONE + 3) {
+            let x = f32::from_bits(bits);
+            assert_eq!(ln(x).to_bits(), libm::logf(x).to_bits(), "{x}");
         }
     }
 }

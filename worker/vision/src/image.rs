@@ -9,6 +9,7 @@ pub mod filter;
 pub mod resize;
 
 pub use filter::{box_mean, gaussian_blur};
+pub(crate) use resize::resize_vectors;
 pub use resize::{resize_plane, resize_rgb};
 
 /// Why pixels do not make a picture.

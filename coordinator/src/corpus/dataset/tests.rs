@@ -120,7 +120,14 @@ fn shard(files: &[(&str, &[u8])]) -> Vec<u8> {
     let mut tar = Builder::new(Vec::new());
     for (name, content) in files {
         let mut header = header(EntryType::Regular, content.len() as u64);
-        tar.append_data(&mut header, name, *content).unwrap();
+        // The library that writes here leaves the `./` of `tar -c .` out.
+        if name.starts_with("./") {
+            header.as_old_mut().name[..name.len()].copy_from_slice(name.as_bytes());
+            header.set_cksum();
+            tar.append(&header, *content).unwrap();
+        } else {
+            tar.append_data(&mut header, name, *content).unwrap();
+        }
     }
     tar.into_inner().unwrap()
 }
@@ -280,6 +287,8 @@ async fn hostile_tars_become_rows() {
     // Cut within a member, and within a header: what is before it stays.
     set.put("cut.tar", &whole[..1536 + 100]);
     set.put("cut-header.tar", &whole[..1024 + 100]);
+    // Between two members.
+    set.put("cut-between.tar", &whole[..1024]);
     // A checksum that is wrong.
     let mut damaged = whole.clone();
     damaged[1024] ^= 1;
@@ -338,6 +347,7 @@ async fn hostile_tars_become_rows() {
     for (video, said) in [
         ("cut.tar/b.mp4", "ends within this member"),
         ("cut-header.tar", "does not read to its end"),
+        ("cut-between.tar", "lacks the zeros"),
         ("damaged.tar", "checksum"),
         ("huge.tar/lie.mp4", "ends within this member"),
         ("overflow.tar", "does not read to its end"),

@@ -46,6 +46,18 @@ pub(in crate::corpus) struct Below {
     pub(in crate::corpus) ignored: Ignored,
 }
 
+impl Below {
+    /// Whether the object of this name below the root is a LeRobot dataset's own.
+    pub(super) fn is_of_lerobot(&self, name: &str) -> bool {
+        let address = format!("{}{name}", self.root);
+        let mut datasets = self.lerobot.iter();
+        datasets.any(|dataset| {
+            let below = address.strip_prefix(dataset.trim_end_matches('/'));
+            below.is_some_and(|below| below.starts_with('/'))
+        })
+    }
+}
+
 /// Whether an object's name says that it is a video or of a dataset: others need not be remembered.
 pub(super) fn is_looked_at(name: &str) -> bool {
     is_video_name(Path::new(name))

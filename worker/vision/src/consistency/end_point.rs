@@ -11,6 +11,7 @@ use super::{
 };
 use crate::flow::Flow;
 use crate::flow::simd::{Kernel, dispatch};
+use crate::image::Bilinear;
 
 // Vectors checked before looking whether one failed: a few cache lines.
 const CHECK_CHUNK: usize = 256;
@@ -28,7 +29,7 @@ pub struct EndPointError {
     pub occluded_fraction: Option<f64>,
     /// Share of pixels whose end point lies in the frame.
     pub in_frame_fraction: f64,
-    /// `[H, W]` error in pixels; `None` where the end point leaves the frame.
+    /// `[H, W]` error in pixels; `None` where the end point leaves the frame. Empty where it was not asked for.
     pub error_px: Vec<Option<f32>>,
 }
 
@@ -42,25 +43,103 @@ impl EndPointError {
         backward: &Flow,
         params: &ConsistencyParams,
     ) -> Result<Self, ConsistencyError> {
-        params.validate()?;
-        check_pair(forward, backward)?;
-        for flow in [forward, backward] {
-            if !all_plausible(flow) {
-                check_values(flow)?;
-            }
-        }
+        check(forward, backward, params)?;
         Ok(dispatch(Measurement {
             forward,
             backward,
             params,
+            keeps_map: true,
         }))
     }
+
+    /// As [`Self::new`], without the map.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn without_map(
+        forward: &Flow,
+        backward: &Flow,
+        params: &ConsistencyParams,
+    ) -> Result<Self, ConsistencyError> {
+        check(forward, backward, params)?;
+        Ok(dispatch(Measurement {
+            forward,
+            backward,
+            params,
+            keeps_map: false,
+        }))
+    }
+}
+
+/// The errors of single pixels, for who reads few of them.
+#[derive(Debug, Clone, Copy)]
+pub struct EndPoints<'a> {
+    forward: &'a Flow,
+    backward: &'a Flow,
+    /// Reference pixels per pixel of the flow.
+    scale: f32,
+}
+
+impl<'a> EndPoints<'a> {
+    /// Of `forward` against `backward`, both in pixels of their own grid.
+    ///
+    /// # Errors
+    /// As [`EndPointError::new`].
+    pub fn new(
+        forward: &'a Flow,
+        backward: &'a Flow,
+        params: &ConsistencyParams,
+    ) -> Result<Self, ConsistencyError> {
+        check(forward, backward, params)?;
+        Ok(Self {
+            forward,
+            backward,
+            scale: (params.reference_height_px / forward.height as f64) as f32,
+        })
+    }
+
+    /// The error at column `x`, row `y`, reference pixels, to the bit that of [`EndPointError::error_px`];
+    /// `None` where the end point leaves the frame and of what is no pixel.
+    #[must_use]
+    pub fn error_px(&self, x: usize, y: usize) -> Option<f32> {
+        let (width, height) = (self.forward.width, self.forward.height);
+        if x >= width || y >= height {
+            return None;
+        }
+        let [u, v] = self.forward.data[y * width + x];
+        let (to_x, to_y) = (x as f32 + u, y as f32 + v);
+        if !inside(to_x, to_y, width, height) {
+            return None;
+        }
+        let at = Bilinear::at(to_x, to_y, width, height);
+        let [a, b, c, d] = at.indices.map(|index| self.backward.data[index]);
+        let back = [0, 1].map(|k| at.mix(a[k], b[k], c[k], d[k]) * self.scale);
+        let squared = squared_norm([u * self.scale + back[0], v * self.scale + back[1]]);
+        Some(squared.sqrt())
+    }
+}
+
+/// Whether the flows belong together and hold nothing absurd.
+fn check(
+    forward: &Flow,
+    backward: &Flow,
+    params: &ConsistencyParams,
+) -> Result<(), ConsistencyError> {
+    params.validate()?;
+    check_pair(forward, backward)?;
+    for flow in [forward, backward] {
+        if !all_plausible(flow) {
+            check_values(flow)?;
+        }
+    }
+    Ok(())
 }
 
 struct Measurement<'a> {
     forward: &'a Flow,
     backward: &'a Flow,
     params: &'a ConsistencyParams,
+    keeps_map: bool,
 }
 
 impl Kernel for Measurement<'_> {
@@ -74,20 +153,21 @@ impl Kernel for Measurement<'_> {
         let scale = (self.params.reference_height_px / height as f64) as f32;
         let mut row = Row::new(width);
         let (mut sum, mut in_frame, mut occluded) = (0.0, 0usize, 0usize);
-        let mut error_px = vec![None; self.forward.data.len()];
-        let rows = self.forward.data.chunks_exact(width);
-        for (y, (ahead, out)) in rows.zip(error_px.chunks_exact_mut(width)).enumerate() {
+        let mut error_px = Vec::new();
+        if self.keeps_map {
+            error_px.reserve_exact(self.forward.data.len());
+        }
+        for (y, ahead) in self.forward.data.chunks_exact(width).enumerate() {
             row.to.locate(ahead, [1.0; 2], y, height);
             row.to.gather(&self.backward.data, &mut row.around);
             row.compare(ahead, scale, self.params);
-            let pixels = out
-                .iter_mut()
-                .zip(&row.error)
-                .zip(&row.to.inside)
-                .zip(&row.apart);
-            for (((out, &error), &inside), &apart) in pixels {
+            let errors = row.error.iter().zip(&row.to.inside);
+            if self.keeps_map {
+                let error = |(&error, &inside): (&f32, &bool)| inside.then_some(error);
+                error_px.extend(errors.clone().map(error));
+            }
+            for ((&error, &inside), &apart) in errors.zip(&row.apart) {
                 if inside {
-                    *out = Some(error);
                     sum += f64::from(error);
                     in_frame += 1;
                     occluded += usize::from(apart);
@@ -160,7 +240,6 @@ fn all_plausible(flow: &Flow) -> bool {
 }
 
 /// Whether a point lies between the outermost pixel centres.
-#[cfg(test)]
 pub(super) fn inside(x: f32, y: f32, width: usize, height: usize) -> bool {
     x >= 0.0 && x <= (width - 1) as f32 && y >= 0.0 && y <= (height - 1) as f32
 }
@@ -168,7 +247,6 @@ pub(super) fn inside(x: f32, y: f32, width: usize, height: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::Bilinear;
 
     fn constant(width: usize, height: usize, vector: [f32; 2]) -> Flow {
         Flow {
@@ -283,9 +361,19 @@ mod tests {
                     forward: &ahead,
                     backward: &back,
                     params: &params,
+                    keeps_map: true,
                 };
+                let mut summary = EndPointError::without_map(&ahead, &back, &params).unwrap();
+                assert!(summary.error_px.is_empty());
+                summary.error_px.clone_from(&expected.error_px);
+                assert_eq!(summary, expected);
                 assert_eq!(measured, expected);
                 assert_eq!(plain.run(), expected);
+                let single = EndPoints::new(&ahead, &back, &params).unwrap();
+                for (i, error_px) in expected.error_px.iter().enumerate() {
+                    assert_eq!(single.error_px(i % width, i / width), *error_px);
+                }
+                assert_eq!(single.error_px(width, 0), None);
             }
         }
     }

@@ -14,7 +14,7 @@ use super::{ConsistencyError, ConsistencyParams, check_length, check_values, squ
 use crate::exp::one_minus_exp_of_minus;
 use crate::flow::Flow;
 use crate::flow::simd::{Kernel, dispatch};
-use crate::image::{ImageError, Plane, box_mean, gaussian_blur, resize_plane};
+use crate::image::{ImageError, Plane, box_mean, gaussian_blur, resize_plane, resize_vectors};
 
 /// A flow on the evidence grid.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,14 +40,6 @@ impl GridFlow {
         check_values(flow)?;
         let (width, height) = grid_size(flow.width, flow.height, params);
         let scale = params.reference_height_px / flow.height as f64;
-        let component = |axis: usize| {
-            let plane = Plane {
-                width: flow.width,
-                height: flow.height,
-                data: flow.data.iter().map(|v| v[axis] * scale as f32).collect(),
-            };
-            resize_plane(&plane, width, height).data
-        };
         Ok(Self {
             width,
             height,
@@ -55,11 +47,7 @@ impl GridFlow {
                 (width as f64 / (flow.width as f64 * scale)) as f32,
                 (height as f64 / params.reference_height_px) as f32,
             ],
-            flow_px: component(0)
-                .into_iter()
-                .zip(component(1))
-                .map(|(u, v)| [u, v])
-                .collect(),
+            flow_px: resize_vectors(&flow.data, flow.width, scale as f32, [width, height]),
         })
     }
 }

@@ -11,9 +11,9 @@ mod look_up;
 mod structure;
 mod worldscore;
 
-pub use end_point::EndPointError;
+pub use end_point::{EndPointError, EndPoints};
 pub use evidence::{Evidence, GridFlow, NormalisedFrame};
-pub use structure::Structure;
+pub use structure::{FrameStructure, Structure};
 pub use worldscore::{WorldscoreEpe, worldscore_epe};
 
 use serde::{Deserialize, Serialize};

@@ -23,6 +23,29 @@ const MIN_STRUCTURE: f32 = 0.5;
 /// Largest unexplained share of the structure of a cell that corresponds.
 const MAX_UNEXPLAINED: f32 = 0.5;
 
+/// Mean N² around each cell of a frame; computed once per frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameStructure(Plane);
+
+impl FrameStructure {
+    /// Of a frame on the evidence grid.
+    #[must_use]
+    pub fn new(frame: &NormalisedFrame) -> Self {
+        let Plane { width, height, .. } = frame.normalised;
+        Self(mean_square((width, height), &frame.normalised.data))
+    }
+}
+
+/// Mean of the squares over the box around each cell of a grid of `size` (width, height).
+fn mean_square((width, height): (usize, usize), values: &[f32]) -> Plane {
+    let squares = Plane {
+        width,
+        height,
+        data: values.iter().map(|value| value * value).collect(),
+    };
+    box_mean(&squares, RADIUS_CELLS)
+}
+
 /// Counted cells with structure, and those of them that correspond.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Structure {
@@ -35,31 +58,24 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// Of direction first → second: `evidence` of that direction, and its first frame.
+    /// Of direction first → second: `evidence` of that direction, and the structure of its first frame.
     ///
     /// # Errors
     /// [`ConsistencyError::SizeMismatch`] when the two are not on one grid.
-    pub fn new(evidence: &Evidence, first: &NormalisedFrame) -> Result<Self, ConsistencyError> {
+    pub fn new(evidence: &Evidence, first: &FrameStructure) -> Result<Self, ConsistencyError> {
+        let FrameStructure(structure) = first;
         let (size, other) = (
             (evidence.width, evidence.height),
-            (first.normalised.width, first.normalised.height),
+            (structure.width, structure.height),
         );
-        if size != other || evidence.appearance.len() != first.normalised.data.len() {
+        if size != other || evidence.appearance.len() != structure.data.len() {
             return Err(ConsistencyError::SizeMismatch {
                 first: size,
                 second: other,
             });
         }
-        let mean_square = |values: &[f32]| {
-            let squares = Plane {
-                width: size.0,
-                height: size.1,
-                data: values.iter().map(|value| value * value).collect(),
-            };
-            box_mean(&squares, RADIUS_CELLS).data
-        };
-        let structure = mean_square(&first.normalised.data);
-        let unexplained = mean_square(&evidence.appearance);
+        let structure = &structure.data;
+        let unexplained = mean_square(size, &evidence.appearance).data;
         let mut found = Self::default();
         for cell in (0..structure.len()).filter(|&cell| evidence.counted[cell]) {
             found.counted += 1;
@@ -126,7 +142,10 @@ mod tests {
             Evidence::new(&ahead, &back, a, b, &params).unwrap(),
             Evidence::new(&back, &ahead, b, a, &params).unwrap(),
         ];
-        let structure = [0, 1].map(|k| Structure::new(&evidence[k], &normalised[k]).unwrap());
+        let structure = [0, 1].map(|k| {
+            let first = FrameStructure::new(&normalised[k]);
+            Structure::new(&evidence[k], &first).unwrap()
+        });
         (structure, evidence, normalised)
     }
 
@@ -217,7 +236,7 @@ mod tests {
         let wide = Plane::from_fn(2 * WIDTH, HEIGHT, |_, _| 0.0);
         let other = NormalisedFrame::new(&wide, &params).unwrap();
         assert!(matches!(
-            Structure::new(&evidence[0], &other),
+            Structure::new(&evidence[0], &FrameStructure::new(&other)),
             Err(ConsistencyError::SizeMismatch { .. })
         ));
     }

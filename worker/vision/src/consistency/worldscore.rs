@@ -16,6 +16,8 @@ const CROP_PX: usize = 30;
 const FAILURE_PX: f64 = 5.0;
 // From here on an f64 does not fit in an i64.
 const I64_RANGE: f64 = 9_223_372_036_854_775_808.0;
+// 2^52: from here on every f64 is a whole number.
+const INTEGERS_FROM: f64 = 4_503_599_627_370_496.0;
 
 /// WorldScore's end-point error of one pair.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,23 +64,32 @@ impl Kernel for Measurement<'_> {
         let Self { forward, backward } = self;
         let width = forward.width.saturating_sub(CROP_PX);
         let height = forward.height.saturating_sub(CROP_PX);
-        let at = |flow: &Flow, x: usize, y: usize| {
-            let [u, v] = flow.data[(y + CROP_PX / 2) * flow.width + x + CROP_PX / 2];
-            [f64::from(u), f64::from(v)]
-        };
-        let mut errors_px = Vec::with_capacity(width * height);
+        let row = |flow: &'_ Flow, y: usize| (y + CROP_PX / 2) * flow.width + CROP_PX / 2;
+        let mut errors_px = vec![0.0; width * height];
+        // Of one row: the index of what each pixel's end point reads, and that vector.
+        let mut read = vec![0u32; width];
+        let mut back = vec![[0.0f32; 2]; width];
+        let corner = &backward.data[row(backward, 0).min(backward.data.len())..];
+        let stride = backward.width as u32;
         for y in 0..height {
-            for x in 0..width {
-                let [u, v] = at(forward, x, y);
-                let end = [x as f64 + u, y as f64 + v];
-                let [back_u, back_v] = at(
-                    backward,
-                    clipped_index(end[0], width),
-                    clipped_index(end[1], height),
-                );
-                let dx = end[0] + back_u - x as f64;
-                let dy = end[1] + back_v - y as f64;
-                errors_px.push((dx * dx + dy * dy).sqrt());
+            let ahead = &forward.data[row(forward, y)..][..width];
+            for (x, (read, &[u, v])) in read.iter_mut().zip(ahead).enumerate() {
+                let column = clipped_index(f64::from(x as u32) + f64::from(u), width);
+                let row = clipped_index(f64::from(y as u32) + f64::from(v), height);
+                *read = row * stride + column;
+            }
+            for (back, &read) in back.iter_mut().zip(&read) {
+                *back = corner[read as usize];
+            }
+            let errors = &mut errors_px[y * width..][..width];
+            let vectors = ahead.iter().zip(&back);
+            for (x, (error, (ahead, back))) in errors.iter_mut().zip(vectors).enumerate() {
+                let (x, y) = (f64::from(x as u32), f64::from(y as u32));
+                let [u, v] = ahead.map(f64::from);
+                let [back_u, back_v] = back.map(f64::from);
+                let dx = x + u + back_u - x;
+                let dy = y + v + back_v - y;
+                *error = (dx * dx + dy * dy).sqrt();
             }
         }
         let average = numpy_sum(&errors_px) / errors_px.len() as f64;
@@ -120,10 +131,11 @@ fn numpy_sum(values: &[f64]) -> f64 {
 /// Rounds half-to-even and clips to `0..length`. NaN, infinities and values beyond i64 become index
 /// 0, as the x86 conversion that the reference relies on (INT64_MIN, then clipped) has it.
 #[inline(always)]
-fn clipped_index(position: f64, length: usize) -> usize {
+fn clipped_index(position: f64, length: usize) -> u32 {
     let rounded = position.round_ties_even();
-    if rounded.is_nan() || rounded.abs() >= I64_RANGE {
-        return 0;
-    }
-    (rounded as i64).clamp(0, length as i64 - 1) as usize
+    // NaN fails the comparison; what is below the range is clipped to 0 anyway.
+    let in_range = if rounded < I64_RANGE { rounded } else { 0.0 };
+    let clipped = in_range.max(0.0).min((length - 1) as f64);
+    // The bits of a whole number lie in the mantissa once 2^52 is added: done in whole vectors.
+    (clipped + INTEGERS_FROM).to_bits() as u32
 }

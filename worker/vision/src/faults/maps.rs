@@ -6,6 +6,7 @@
 
 use super::params::{FaultParams, PERSISTENCE_PAIRS, WINDOW_FRAMES};
 use crate::consistency::{Evidence, NormalisedFrame};
+use crate::exp::{MOST_NORMAL, exp_of_minus, ln};
 use crate::flow::simd::{Kernel, dispatch};
 use crate::image::{Plane, box_mean};
 use crate::signals::median_f32;
@@ -67,9 +68,30 @@ pub(super) fn appear(frames: [&Plane; TRANSITION_FRAMES], params: &FaultParams) 
 /// ℓ = ln(2 + local deviation of the grey levels): how much texture there is.
 pub(super) fn texture(frame: &NormalisedFrame, params: &FaultParams) -> Plane {
     let deviation = local_deviation(&frame.grey, params.texture_radius_cells);
-    combine(&frame.grey, |cell| {
-        libm::logf(params.texture_offset + deviation[cell] as f32)
-    })
+    Plane {
+        width: frame.grey.width,
+        height: frame.grey.height,
+        data: dispatch(Logarithms {
+            values: &deviation,
+            offset: params.texture_offset,
+        }),
+    }
+}
+
+/// ln(offset + value).
+struct Logarithms<'a> {
+    values: &'a [f64],
+    offset: f32,
+}
+
+impl Kernel for Logarithms<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let logarithm = |&value: &f64| ln(self.offset + value as f32);
+        self.values.iter().map(logarithm).collect()
+    }
 }
 
 /// Standard deviation in the `(2 radius + 1)²` box around each cell, borders reflected. In f64: the
@@ -210,16 +232,59 @@ pub(super) fn flicker(
     drifts_px: [&[Plane; 2]; PERSISTENCE_PAIRS],
     params: &FaultParams,
 ) -> Plane {
-    combine(residuals[0], |cell| {
-        let least = residuals
-            .iter()
-            .fold(f32::INFINITY, |least, plane| least.min(plane.data[cell]));
-        let [x, y] = [0, 1].map(|axis| {
-            let sum: f32 = drifts_px.iter().map(|drift| drift[axis].data[cell]).sum();
-            sum / PERSISTENCE_PAIRS as f32
-        });
-        least * libm::expf(-(x * x + y * y).sqrt() / params.drift_scale_px)
-    })
+    Plane {
+        width: residuals[0].width,
+        height: residuals[0].height,
+        data: dispatch(Flicker {
+            residuals: residuals.map(|plane| &plane.data[..]),
+            drifts_px: [0, 1].map(|axis| drifts_px.map(|drift| &drift[axis].data[..])),
+            scale_px: params.drift_scale_px,
+        }),
+    }
+}
+
+struct Flicker<'a> {
+    residuals: [&'a [f32]; PERSISTENCE_PAIRS],
+    /// x, then y.
+    drifts_px: [[&'a [f32]; PERSISTENCE_PAIRS]; 2],
+    scale_px: f32,
+}
+
+impl Kernel for Flicker<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let cells = self.residuals[0].len();
+        let residuals = self.residuals.map(|plane| &plane[..cells]);
+        let [x, y] = self.drifts_px.map(|axis| axis.map(|plane| &plane[..cells]));
+        let mut exponents = vec![0.0f32; cells];
+        for (cell, exponent) in exponents.iter_mut().enumerate() {
+            let (mut sum_x, mut sum_y) = (0.0, 0.0);
+            for k in 0..PERSISTENCE_PAIRS {
+                sum_x += x[k][cell];
+                sum_y += y[k][cell];
+            }
+            let [x, y] = [sum_x, sum_y].map(|sum| sum / PERSISTENCE_PAIRS as f32);
+            *exponent = (x * x + y * y).sqrt() / self.scale_px;
+        }
+        let mut flicker = vec![0.0f32; cells];
+        for (cell, (flicker, &exponent)) in flicker.iter_mut().zip(&exponents).enumerate() {
+            let mut least = f32::INFINITY;
+            for residual in residuals {
+                least = least.min(residual[cell]);
+            }
+            *flicker = least * exp_of_minus(exponent.min(MOST_NORMAL));
+        }
+        // No camera drifts that far but between cuts.
+        for (cell, &exponent) in exponents.iter().enumerate() {
+            if exponent > MOST_NORMAL {
+                let values = residuals.iter().map(|residual| residual[cell]);
+                flicker[cell] = values.fold(f32::INFINITY, f32::min) * libm::expf(-exponent);
+            }
+        }
+        flicker
+    }
 }
 
 /// Mean |ΔG| of two grey frames, levels.

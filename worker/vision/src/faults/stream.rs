@@ -11,7 +11,7 @@ use super::maps::{self, TRANSITION_FRAMES};
 use super::params::{PERSISTENCE_PAIRS, WINDOW_FRAMES};
 use super::peak::{central_mean, peak};
 use super::series::{FaultPoint, FaultSeries};
-use super::{ChangePair, FaultError, FaultKind, FaultParams};
+use super::{ChangePair, FaultError, FaultKind, FaultParams, FaultThresholds};
 use crate::consistency::NormalisedFrame;
 use crate::image::Plane;
 
@@ -34,6 +34,8 @@ pub struct FaultInput<'a> {
     /// The pair with the frame before that; without it there is no `bad_frame`, unless it is known to be
     /// what [`FaultStream::leave_out_bad_frames_below`] was told.
     pub skip: Option<&'a ChangePair>,
+    /// Where `skip` is left out, its change map of the way there, if that told so.
+    pub skip_ahead: Option<&'a Plane>,
 }
 
 /// The detectors' state.
@@ -41,6 +43,8 @@ pub struct FaultInput<'a> {
 pub struct FaultStream {
     params: FaultParams,
     least_bad_frame: f64,
+    /// Scores that exceed these are placed; all of them, where it is `None`.
+    placed: Option<FaultThresholds>,
     last_frame: Option<usize>,
     frames: VecDeque<FramePlanes>,
     pairs: VecDeque<PairPlanes>,
@@ -75,6 +79,7 @@ impl FaultStream {
         Ok(Self {
             params,
             least_bad_frame: 0.0,
+            placed: None,
             last_frame: None,
             frames: VecDeque::with_capacity(TRANSITION_FRAMES),
             pairs: VecDeque::with_capacity(TRANSITION_PAIRS),
@@ -95,6 +100,12 @@ impl FaultStream {
         self.least_bad_frame = least;
     }
 
+    /// From now on the place of a score that is a mean over the picture is only looked for where the score
+    /// exceeds the threshold, as an event does.
+    pub fn place_only_events(&mut self, thresholds: FaultThresholds) {
+        self.placed = Some(thresholds);
+    }
+
     /// Takes the next frame.
     ///
     /// # Errors
@@ -106,7 +117,7 @@ impl FaultStream {
             self.jump(input.frame, pair);
             match input.skip {
                 Some(skip) => self.bad_frame(input.frame, pair, skip),
-                None => self.no_bad_frame(input.frame, pair),
+                None => self.no_bad_frame(input.frame, pair, input.skip_ahead),
             }
             self.remember_pair(pair);
             self.flicker(input.frame);
@@ -175,27 +186,33 @@ impl FaultStream {
         self.add_mean(FaultKind::Jump, frame, score, map);
     }
 
-    /// Whether V of the frame before needs the pair across that frame, were `pair` the next.
+    /// Whether V of the frame before needs the pair across that frame, were `pair` the next; `skip_ahead` is
+    /// the change map of the way there of the pair across, where it is known.
     #[must_use]
-    pub fn may_be_bad(&self, pair: &ChangePair) -> bool {
-        let most = self.bad_frame_at_most(pair);
+    pub fn may_be_bad(&self, pair: &ChangePair, skip_ahead: Option<&Plane>) -> bool {
+        let most = self.bad_frame_at_most(pair, skip_ahead);
         most.is_some_and(|most| most >= self.least_bad_frame)
     }
 
-    /// An upper bound of V of the frame before, were `pair` the next: V without the flow across that frame, which
-    /// can only lower it. `None` where there is no V.
-    fn bad_frame_at_most(&self, pair: &ChangePair) -> Option<f64> {
+    /// An upper bound of V of the frame before, were `pair` the next: V without the flow across that frame, or
+    /// without its way back, which can only lower it. `None` where there is no V.
+    fn bad_frame_at_most(&self, pair: &ChangePair, skip_ahead: Option<&Plane>) -> Option<f64> {
         let earlier = self.pairs.back()?;
         if pair.size() != self.series.grid_size {
             return None;
         }
-        let changes = maps::least(adjacent(earlier, pair));
-        Some(central_mean(&changes, &self.params))
+        let adjacent = adjacent(earlier, pair);
+        let fits = |plane: &&Plane| plane.data.len() == pair.forward_change.data.len();
+        let most = match skip_ahead.filter(fits) {
+            Some(ahead) => maps::bad_frame(adjacent, [ahead, ahead]),
+            None => maps::least(adjacent),
+        };
+        Some(central_mean(&most, &self.params))
     }
 
     /// The frame before `frame` is not bad, where that is known without the flow across it.
-    fn no_bad_frame(&mut self, frame: usize, pair: &ChangePair) {
-        let most = self.bad_frame_at_most(pair);
+    fn no_bad_frame(&mut self, frame: usize, pair: &ChangePair, skip_ahead: Option<&Plane>) {
+        let most = self.bad_frame_at_most(pair, skip_ahead);
         if most.is_some_and(|most| most < self.least_bad_frame) {
             self.series.points[FaultKind::BadFrame as usize].push(FaultPoint {
                 frame: frame - 1,
@@ -245,7 +262,14 @@ impl FaultStream {
     }
 
     fn add_mean(&mut self, kind: FaultKind, frame: usize, score: f64, map: Plane) {
-        let place = peak(&map, &self.params).place;
+        let is_event = |placed: &FaultThresholds| {
+            let threshold = placed.of(kind);
+            threshold.is_some_and(|threshold| score > threshold)
+        };
+        let place = match self.placed.as_ref().is_none_or(is_event) {
+            true => peak(&map, &self.params).place,
+            false => None,
+        };
         let point = FaultPoint {
             frame,
             score,

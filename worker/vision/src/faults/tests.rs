@@ -64,6 +64,7 @@ fn still_clip(pictures: &[NormalisedFrame], first_frame: usize) -> FaultSeries {
             picture,
             adjacent: adjacent.as_ref(),
             skip: skip.as_ref(),
+            skip_ahead: None,
         };
         stream.push(input).unwrap();
     }
@@ -86,17 +87,21 @@ fn is_in_patch(place: Option<Place>) -> bool {
     })
 }
 
+/// A still picture for twelve frames, but for the seventh.
+fn one_bad_frame() -> Vec<NormalisedFrame> {
+    let frames = (0..12).map(|t| {
+        if t == 6 {
+            picture(patch)
+        } else {
+            picture(ground)
+        }
+    });
+    frames.collect()
+}
+
 #[test]
 fn a_single_bad_frame_is_found_at_itself_and_nowhere_else() {
-    let clip: Vec<_> = (0..12)
-        .map(|t| {
-            if t == 6 {
-                picture(patch)
-            } else {
-                picture(ground)
-            }
-        })
-        .collect();
+    let clip = one_bad_frame();
     let series = still_clip(&clip, 1);
     let points = series.points(FaultKind::BadFrame);
     // Judged from the second frame to the last but one.
@@ -136,6 +141,7 @@ fn asked_maps_are_kept() {
             picture: current,
             adjacent: adjacent.as_ref(),
             skip: None,
+            skip_ahead: None,
         };
         stream.push(input).unwrap();
     }
@@ -179,6 +185,7 @@ fn a_moving_camera_leaves_out_what_compares_in_place() {
             picture: &still,
             adjacent: (frame > 0).then_some(&adjacent),
             skip: None,
+            skip_ahead: None,
         };
         stream.push(input).unwrap();
     }
@@ -467,6 +474,7 @@ fn wrong_input_is_an_error_and_changes_nothing() {
         picture,
         adjacent,
         skip: None,
+        skip_ahead: None,
     };
     stream.push(input(4, &frame, None)).unwrap();
     assert!(matches!(
@@ -502,16 +510,41 @@ fn wrong_input_is_an_error_and_changes_nothing() {
 }
 
 #[test]
+fn one_way_across_tells_that_a_lively_clip_has_no_bad_frame() {
+    // Every frame is another texture: V is bounded by 1 without what lies across, and 0 with it.
+    let clip = [0, 1, 2].map(|t| picture(|x, y| ((x * 37 + y * 91 + t * x * y) % 251) as f32));
+    let least = 0.05;
+    let mut stream = FaultStream::new(FaultParams::default()).unwrap();
+    stream.leave_out_bad_frames_below(least);
+    let pairs = [
+        pair(&clip[0], &clip[1], [0.0; 2]),
+        pair(&clip[1], &clip[2], [0.0; 2]),
+    ];
+    let across = pair(&clip[0], &clip[2], [0.0; 2]);
+    let ahead = Some(&across.forward_change);
+    for (t, picture) in clip.iter().enumerate() {
+        if t == 2 {
+            assert!(stream.may_be_bad(&pairs[1], None));
+            assert!(!stream.may_be_bad(&pairs[1], ahead));
+        }
+        let input = FaultInput {
+            frame: t,
+            picture,
+            adjacent: t.checked_sub(1).map(|pair| &pairs[pair]),
+            skip: None,
+            skip_ahead: ahead.filter(|_| t == 2),
+        };
+        stream.push(input).unwrap();
+    }
+    let series = stream.finish(true);
+    let found = series.points(FaultKind::BadFrame);
+    assert_eq!(found.len(), 1);
+    assert_eq!((found[0].frame, found[0].score), (1, 0.0));
+}
+
+#[test]
 fn what_is_left_out_of_bad_frame_is_below_what_was_told() {
-    let clip: Vec<_> = (0..12)
-        .map(|t| {
-            if t == 6 {
-                picture(patch)
-            } else {
-                picture(ground)
-            }
-        })
-        .collect();
+    let clip = one_bad_frame();
     let full = still_clip(&clip, 1);
     let full = full.points(FaultKind::BadFrame);
     let largest = full.iter().map(|point| point.score).fold(0.0, f64::max);
@@ -519,19 +552,25 @@ fn what_is_left_out_of_bad_frame_is_below_what_was_told() {
     for least in [0.5 * largest, 2.0 * largest] {
         let mut stream = FaultStream::new(FaultParams::default()).unwrap();
         stream.leave_out_bad_frames_below(least);
-        let mut looked_across = 0;
+        let (mut looked_across, mut looked_back) = (0, 0);
         for (t, picture) in clip.iter().enumerate() {
             let adjacent = (t >= 1).then(|| pair(&clip[t - 1], picture, [0.0; 2]));
-            let is_asked = adjacent
-                .as_ref()
-                .is_some_and(|pair| stream.may_be_bad(pair));
-            looked_across += usize::from(is_asked);
-            let skip = is_asked.then(|| pair(&clip[t - 2], picture, [0.0; 2]));
+            let is_asked = |ahead| {
+                let adjacent = adjacent.as_ref();
+                adjacent.is_some_and(|pair| stream.may_be_bad(pair, ahead))
+            };
+            let across = is_asked(None).then(|| pair(&clip[t - 2], picture, [0.0; 2]));
+            looked_across += usize::from(across.is_some());
+            // One way may tell what the adjacent pairs do not.
+            let ahead = across.as_ref().map(|across| &across.forward_change);
+            let skip = across.as_ref().filter(|_| is_asked(ahead));
+            looked_back += usize::from(skip.is_some());
             let input = FaultInput {
                 frame: t + 1,
                 picture,
                 adjacent: adjacent.as_ref(),
-                skip: skip.as_ref(),
+                skip,
+                skip_ahead: ahead,
             };
             stream.push(input).unwrap();
         }
@@ -545,6 +584,6 @@ fn what_is_left_out_of_bad_frame_is_below_what_was_told() {
             assert_eq!(found.frame, full.frame);
         }
         assert!(looked_across < full.len());
-        assert_eq!(looked_across > 0, least < largest);
+        assert_eq!(looked_back > 0, least < largest);
     }
 }

@@ -54,6 +54,69 @@ pub fn resize_rgb(source: &Rgb8, width: usize, height: usize) -> Rgb8 {
         }),
     }
 }
+
+/// Resizes a field of vectors, `width` columns wide, after multiplying it by `scale`: as
+/// [`resize_plane`] does with each component. Empty where nothing can be resized.
+pub(crate) fn resize_vectors(
+    source: &[[f32; 2]],
+    width: usize,
+    scale: f32,
+    [columns, rows]: [usize; 2],
+) -> Vec<[f32; 2]> {
+    if width == 0 || source.is_empty() || !source.len().is_multiple_of(width) {
+        return Vec::new();
+    }
+    if (width, rows) == (columns, source.len() / width) {
+        return source.iter().map(|v| v.map(|c| c * scale)).collect();
+    }
+    dispatch(ResizeVectors {
+        source,
+        scale,
+        rows: Axis::new(source.len() / width, rows),
+        columns: Axis::new(width, columns),
+        width,
+    })
+}
+
+struct ResizeVectors<'a> {
+    source: &'a [[f32; 2]],
+    width: usize,
+    scale: f32,
+    rows: Axis,
+    columns: Axis,
+}
+
+impl Kernel for ResizeVectors<'_> {
+    type Output = Vec<[f32; 2]>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<[f32; 2]> {
+        let Self { rows, columns, .. } = &self;
+        let (width, height) = (columns.starts.len(), rows.starts.len());
+        let (source, stride) = (self.source.as_flattened(), 2 * self.width);
+        let mut vectors = vec![[0.0; 2]; width * height];
+        let mut blended = vec![0.0; stride];
+        for y in 0..height {
+            let out = &mut vectors[y * width..][..width];
+            blended.fill(0.0);
+            for (row, weight) in rows.taps(y) {
+                let line = &source[row * stride..][..stride];
+                for (sum, &value) in blended.iter_mut().zip(line) {
+                    *sum += weight * (value * self.scale);
+                }
+            }
+            if columns.is_halving {
+                for (mean, pair) in out.iter_mut().zip(blended.as_chunks::<4>().0) {
+                    *mean = [0, 1].map(|k| 0.5 * pair[k] + 0.5 * pair[k + 2]);
+                }
+            } else {
+                columns.resample::<2>(&blended, |x, vector| out[x] = vector);
+            }
+        }
+        vectors
+    }
+}
+
 struct ResizePlane<'a> {
     source: &'a Plane,
     rows: Axis,
@@ -307,6 +370,27 @@ mod tests {
                 assert_eq!(fast.data[y * 19 + x].to_bits(), value.to_bits());
             });
         }
+    }
+
+    #[test]
+    fn vectors_are_resized_like_their_components_bit_for_bit() {
+        let source = texture(38, 30);
+        let vectors: Vec<[f32; 2]> = source.data.iter().map(|v| [*v, -0.0 * v]).collect();
+        for (w, h) in [(19, 15), (38, 30), (17, 4), (50, 40), (19, 7)] {
+            let found = resize_vectors(&vectors, 38, 0.37, [w, h]);
+            for axis in [0, 1] {
+                let plane = Plane {
+                    data: vectors.iter().map(|v| v[axis] * 0.37).collect(),
+                    ..source
+                };
+                let expected = resize_plane(&plane, w, h);
+                let bits = |value: &f32| value.to_bits();
+                let found: Vec<u32> = found.iter().map(|v| bits(&v[axis])).collect();
+                let expected: Vec<u32> = expected.data.iter().map(bits).collect();
+                assert_eq!(found, expected, "{w}x{h}");
+            }
+        }
+        assert!(resize_vectors(&vectors, 0, 1.0, [2, 2]).is_empty());
     }
 
     #[test]

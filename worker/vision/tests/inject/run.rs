@@ -124,6 +124,7 @@ fn scores<'a>(
             picture: &prepared.picture,
             adjacent: adjacent(frame),
             skip: skip(frame),
+            skip_ahead: None,
         };
         if let Some(pair) = input.adjacent {
             let evidence = &pair.forward;

@@ -106,6 +106,7 @@ fn faults(input: &Input<'_>, measured: &mut Measured) {
                 picture,
                 adjacent: before(input.adjacent, 1).map(|start| &input.adjacent[start]),
                 skip: before(input.skip, 2).map(|start| &input.skip[start]),
+                skip_ahead: None,
             })
             .unwrap();
     }

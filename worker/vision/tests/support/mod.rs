@@ -116,6 +116,7 @@ pub(crate) fn measure(
             picture: &current.picture,
             adjacent: adjacent.as_ref(),
             skip: skip.as_ref(),
+            skip_ahead: None,
         };
         faults.push(input).unwrap();
         contact.push(&current.rgb, adjacent.as_ref()).unwrap();

@@ -125,25 +125,32 @@ fn interpolate_row<const P: usize>(pixels: &[f32], fraction: f32) -> [f32; P] {
     row
 }
 
-/// Sums the lanes of each row pairwise, halving each time; an odd middle lane is carried.
+/// Sums the lanes of each row pairwise, halving each time; an odd middle lane is carried. All rows at once,
+/// lane by lane.
 ///
-/// Never inlined: that keeps the rows whole vectors, where otherwise the compiler takes the halving
+/// The rows pass through memory: that keeps them whole vectors, where otherwise the compiler takes the halving
 /// as a reason to compute everything before it in pairs.
-#[inline(never)]
-fn reduce<const P: usize, const N: usize>(rows: &mut [[f32; P]; N]) -> [f32; N] {
-    let mut sums = [0.0; N];
-    for (sum, lanes) in sums.iter_mut().zip(rows) {
-        let mut count = P;
-        while count > 1 {
-            let half = count.div_ceil(2);
-            for k in 0..count - half {
-                lanes[k] += lanes[k + half];
-            }
-            count = half;
+#[inline(always)]
+fn reduce<const P: usize, const N: usize>(rows: [[f32; P]; N]) -> [f32; N] {
+    let rows = std::hint::black_box(rows);
+    let mut lanes = [[0.0; N]; P];
+    for (k, lane) in lanes.iter_mut().enumerate() {
+        for (value, row) in lane.iter_mut().zip(&rows) {
+            *value = row[k];
         }
-        *sum = lanes[0];
     }
-    sums
+    let mut count = P;
+    while count > 1 {
+        let half = count.div_ceil(2);
+        let (sums, others) = lanes.split_at_mut(half);
+        for (sums, others) in sums.iter_mut().zip(&others[..count - half]) {
+            for (sum, other) in sums.iter_mut().zip(others) {
+                *sum += other;
+            }
+        }
+        count = half;
+    }
+    lanes[0]
 }
 
 /// Squared distance alone, for choosing among starting points.
@@ -164,7 +171,7 @@ pub(super) fn distance<const P: usize>(
             square[k] += difference[k] * difference[k];
         }
     }
-    let [sum, square] = reduce(&mut [sum, square]);
+    let [sum, square] = reduce([sum, square]);
     if mean_normalisation {
         square - sum * sum / (P * P) as f32
     } else {
@@ -196,7 +203,7 @@ pub(super) fn compare<const P: usize>(
             along_y[k] += difference[k] * gy[k];
         }
     }
-    let [sum, square, along_x, along_y] = reduce(&mut [sum, square, along_x, along_y]);
+    let [sum, square, along_x, along_y] = reduce([sum, square, along_x, along_y]);
     if mean_normalisation {
         Comparison {
             distance: square - sum * sum / (P * P) as f32,
