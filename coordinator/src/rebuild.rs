@@ -3,7 +3,7 @@
 //! Rows come from `scores.*`, statistics from `corpus.json`; series and pictures from the run's journal,
 //! where there is one. Nothing else in OUT is changed.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use plumbline_common::id::VideoId;
@@ -14,7 +14,7 @@ use crate::collect::{Journal, JournalError};
 use crate::corpus::{CorpusError, Entry, read_list};
 use crate::heat_maps;
 use crate::lease::Lease;
-use crate::publish::scores::score_columns;
+use crate::publish::scores::own_names;
 use crate::publish::{CORPUS_FILE, CorpusFile, CostRow, OutDir, PublishError, REPORT_FILE};
 use crate::reduce_files::{self, ReduceFilesError};
 use crate::report::player::Viewpoint;
@@ -144,10 +144,7 @@ fn read_corpus(file: &Path) -> Result<CorpusFile, RebuildError> {
 
 /// The rows of the run's table, without series.
 fn read_rows(out: &Path) -> Result<Vec<Row>, RebuildError> {
-    let own: BTreeSet<String> = score_columns(&[])
-        .into_iter()
-        .map(|column| column.name)
-        .collect();
+    let own = own_names();
     let mut rows = Vec::new();
     for file in reduce_files::files(&[out.to_path_buf()])? {
         for line in read_list(&file)? {
@@ -167,7 +164,7 @@ fn read_rows(out: &Path) -> Result<Vec<Row>, RebuildError> {
 fn to_row(
     video: &str,
     columns: Map<String, Value>,
-    own: &BTreeSet<String>,
+    own: &[String],
 ) -> Result<Row, serde_json::Error> {
     let fields = serde_json::to_value(Measurement::without_score(Status::Failed, ""))?;
     let (mut row, mut measured, mut carried) = (Map::new(), Map::new(), Map::new());
@@ -267,6 +264,7 @@ fn take_series(rows: &mut [Row], journals: &[Measured]) -> Result<Vec<CostRow>, 
 mod tests {
     use super::*;
     use crate::publish::encode::{self, Format};
+    use crate::publish::scores::score_columns;
     use crate::reduce::outcome::Recipe;
     use crate::report::fixture::{corpus_of, rollouts};
 
@@ -279,6 +277,9 @@ mod tests {
             row.measured.series = Series::default();
             row.measured.fault_frames = Some(vec![3, 1]);
             row.measured.fault_kinds = Some(vec!["jump".to_owned(), "freeze".to_owned()]);
+            row.measured.worldscore_3d = Some(61.5);
+            row.rung = (index % 3 > 0).then(|| "draft".to_owned());
+            row.flip_probability = (index % 2 > 0).then_some(0.25);
             row.carried.insert("seed".to_owned(), index.into());
         }
         for format in [Format::Jsonl, Format::Parquet] {

@@ -39,7 +39,10 @@ pub(super) fn large(measured: &Measurement) -> Option<String> {
         panel(
             "geometry residual e_t, px",
             vec![line(measured, "", 0, &series.reproj_px)],
-            peak(measured).into_iter().collect(),
+            peak(measured)
+                .into_iter()
+                .chain(faults(measured, MARKS))
+                .collect(),
         ),
         panel(
             "end-point error, px",

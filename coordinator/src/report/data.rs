@@ -202,33 +202,27 @@ fn cuts(rows: &[Row]) -> Map<String, Value> {
     .collect()
 }
 
-/// How much each z-score counts in the anomaly score of a row that has them all, by column.
+/// How much each z-score counts in the anomaly score of a row that has them all, by column; null for
+/// those of the other recipe.
 fn parts(statistics: &CorpusStatistics) -> Map<String, Value> {
-    let column = |signal: &Signal| format!("z_{}", signal.column());
-    match statistics.recipe {
+    let weight = |signal: Signal| match statistics.recipe {
         Recipe::Paper => {
-            let weight = |signal: &Signal| {
-                statistics
-                    .weights()
-                    .get(signal.column())
-                    .copied()
-                    .unwrap_or(0.0)
-            };
-            PAPER
-                .iter()
-                .map(|signal| (column(signal), rounded(weight(signal))))
-                .collect()
+            let weight = statistics.weights().get(signal.column()).copied();
+            PAPER.contains(&signal).then(|| weight.unwrap_or(0.0))
         }
-        Recipe::Balanced => BALANCED
-            .iter()
-            .flat_map(|family| {
-                let share = 1.0 / (BALANCED.len() * family.len()) as f64;
-                family
-                    .iter()
-                    .map(move |signal| (column(signal), rounded(share)))
-            })
-            .collect(),
-    }
+        Recipe::Balanced => {
+            let family = BALANCED.iter().find(|family| family.contains(&signal));
+            family.map(|family| 1.0 / (BALANCED.len() * family.len()) as f64)
+        }
+    };
+    let column = |signal: Signal| format!("z_{}", signal.column());
+    Signal::ALL
+        .iter()
+        .map(|&signal| {
+            let weight = weight(signal).map_or(Value::Null, rounded);
+            (column(signal), weight)
+        })
+        .collect()
 }
 
 #[cfg(test)]

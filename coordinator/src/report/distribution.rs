@@ -38,7 +38,7 @@ fn body(judged: &Judged<'_>, axis: Axis) -> Markup {
     let middle = |values: &[f64]| median(values).unwrap_or(f64::NEG_INFINITY);
     panels.sort_by(|a, b| middle(&b.1).total_cmp(&middle(&a.1)));
     html! {
-        p.lead { "Anomaly scores, all groups on one axis, the group with the highest median first. The line marks the median; each panel has its own height." }
+        p.lead { "Anomaly scores, all groups on one axis, the group with the highest median first. The dashed line marks the median; each panel has its own height." }
         div.panels {
             @for (name, values) in &panels { (panel(*name, values, axis)) }
         }

@@ -8,11 +8,11 @@ use maud::{Markup, PreEscaped, html};
 use super::axis::Axis;
 use super::chart::{self, Histogram};
 use super::page::Section;
-use super::text;
-use crate::publish::CorpusFile;
+use super::{ReportInput, signal_columns, text};
 use crate::reduce::outcome::{Population, Range, Recipe, SignalStatistics, WeightSensitivity};
+use crate::reduce::recipe::Signal;
 
-/// The measures by column name, and what a reader calls them.
+/// The measures by the name that the statistics have for them, and what a reader calls them.
 const MEASURES: [(&str, &str, &str); 2] = [
     ("reproj_px", "Geometric", "reprojection residual, px"),
     (
@@ -24,8 +24,9 @@ const MEASURES: [(&str, &str, &str); 2] = [
 /// Groups listed; corpus.json has them all.
 const GROUPS: usize = 60;
 
-pub(super) fn section(corpus: &CorpusFile) -> Section {
-    let statistics = &corpus.statistics;
+pub(super) fn section(input: &ReportInput<'_>) -> Section {
+    let statistics = &input.corpus.statistics;
+    let columns = signal_columns(input.rows);
     let known = |population: &Population| {
         MEASURES
             .iter()
@@ -40,14 +41,14 @@ pub(super) fn section(corpus: &CorpusFile) -> Section {
                     Range::Full => "the full range",
                     Range::Winsorised => "the 0.5–99.5% range",
                 }
-                "; the line marks the mean. "
+                "; the dashed line marks the mean. "
                 @if statistics.reference.is_some() {
                     "This run is scored against a reference: these weights are for comparison only."
                 } @else if statistics.recipe == Recipe::Balanced {
                     "This run’s score uses the balanced recipe: these weights are for comparison only."
                 }
             }
-            div.panels.wide { @for measure in MEASURES { (histogram(&statistics.corpus, measure)) } }
+            div.panels.wide { @for measure in MEASURES { (histogram(&statistics.corpus, measure, &columns)) } }
             (weights(&statistics.corpus, &statistics.groups))
             @if let Some(sensitivity) = &statistics.sensitivity {
                 (firmness(&statistics.corpus.weights, sensitivity))
@@ -61,13 +62,18 @@ pub(super) fn section(corpus: &CorpusFile) -> Section {
     }
 }
 
-fn histogram(corpus: &Population, (name, title, unit): (&str, &str, &str)) -> Markup {
+fn histogram(
+    corpus: &Population,
+    (name, title, unit): (&str, &str, &str),
+    columns: &[(Signal, &str)],
+) -> Markup {
+    let column = columns.iter().find(|(signal, _)| signal.column() == name);
     let Some(signal) = corpus.signals.get(name) else {
         return html! {};
     };
     html! {
         figure.panel {
-            figcaption { span.name { (title) } code { (name) } }
+            figcaption { span.name { (title) } code { (column.map_or(name, |(_, column)| *column)) } }
             @if let Some(bars) = as_the_entropy_saw_it(signal, title, unit) { (PreEscaped(bars)) }
             p.quiet {
                 "H " (text::fixed(signal.entropy_nats, 2)) " nats · mean " (text::magnitude(signal.mean))

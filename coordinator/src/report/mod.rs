@@ -45,6 +45,7 @@ use plumbline_common::row::{Row, Status};
 
 use crate::evaluate::Evaluation;
 use crate::publish::{CorpusFile, CostRow};
+use crate::reduce::recipe::Signal;
 use crate::reduce::reference::Frozen;
 use beside::BesideReport;
 
@@ -132,7 +133,7 @@ pub fn render(input: &ReportInput<'_>) -> String {
         distribution::section(&judged),
         motion::section(&judged),
         drift::section(input.corpus),
-        measures::section(input.corpus),
+        measures::section(input),
         ranking::best(input, &judged),
         statuses::section(input.rows),
         provenance::section(input),
@@ -156,6 +157,17 @@ pub fn with_evaluation(report: Option<&str>, evaluation: &Evaluation) -> String 
 #[must_use]
 pub fn keeping_evaluation(earlier: &str, report: String) -> String {
     evaluation::taken_over(earlier, &report).unwrap_or(report)
+}
+
+/// The column that each signal's values are of: DROID-SLAM's where rows have it.
+fn signal_columns(rows: &[Row]) -> [(Signal, &'static str); Signal::ALL.len()] {
+    let by_droid = rows
+        .iter()
+        .any(|row| row.measured.reproj_droid_px.is_some());
+    Signal::ALL.map(|signal| {
+        let preferred = signal.preferred_column().filter(|_| by_droid);
+        (signal, preferred.unwrap_or(signal.column()))
+    })
 }
 
 /// A row that has an anomaly score.

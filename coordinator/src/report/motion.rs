@@ -83,7 +83,10 @@ fn verdict(pairs: &[(f64, f64)]) -> String {
                     "much of the score follows motion: compare only videos that move alike, or use the balanced recipe."
                 }
             };
-            format!("Spearman ρ between motion and anomaly is {rho:+.2}: {meaning}")
+            format!(
+                "Spearman ρ between motion and anomaly is {}: {meaning}",
+                text::signed(Some(rho))
+            )
         }
     }
 }

@@ -93,6 +93,10 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
         (Some(frame), Some(false)) => format!("{frame}, faint"),
         (frame, _) => text::optional(frame),
     };
+    let faulty = measured
+        .fault_frames
+        .as_ref()
+        .is_some_and(|frames| !frames.is_empty());
     html! {
         article.clip {
             (pictures(thumbnails))
@@ -115,6 +119,9 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
                 (fact("z acceleration", text::signed(row.z_layer_acceleration_q25)))
                 (fact("z shear", text::signed(row.z_interior_shear)))
                 (fact("z detail", text::signed(row.z_detail_change_q25)))
+                @for (name, score) in [("WorldScore 3D", measured.worldscore_3d), ("WorldScore photo.", measured.worldscore_photometric)] {
+                    @if score.is_some() { (fact(name, text::fixed(score, 1))) }
+                }
                 (fact("motion, px", text::magnitude(measured.motion_px)))
                 (fact("paper’s peak", peak))
                 @if let Some(rung) = &row.rung { (fact("measured at", text::plain_name(rung, 30))) }
@@ -127,7 +134,7 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
             @if let Some(chart) = clip::small(measured) {
                 figure.spark {
                     (PreEscaped(chart))
-                    figcaption { span.a { "geometry e_t" } span.b { "end-point" } span.marks { "fault" } span.frames { "px over frames; dark line t*" } }
+                    figcaption { span.a { "geometry e_t" } span.b { "end-point" } @if faulty { span.marks { "fault" } } span.frames { "px over frames; dark line t*" } }
                 }
             }
         }

@@ -53,9 +53,10 @@
 
   // ---- the table -------------------------------------------------------------------------------
   const PAGE = 50;
-  const usual = ["video", "anomaly", "decision", "group", "status", "anomaly_lo", "anomaly_hi",
-    ...Object.keys(data.parts), "motion_px", "reproj_px", "aepe_worldscore_px", "scene",
-    "paper_peak_frame", "fault_kinds"];
+  const usual = ["video", "anomaly", "decision", "rung", "flip_probability", "group", "status", "anomaly_lo", "anomaly_hi",
+    ...Object.keys(data.parts).filter((name) => data.parts[name] !== null),
+    "worldscore_3d", "worldscore_photometric", "motion_px", "reproj_droid_px", "reproj_px", "aepe_worldscore_px",
+    "scene", "paper_peak_frame", "fault_kinds"];
   const usualFirst = [...new Set([...usual, ...byName.keys()])].filter((name) => byName.has(name)).map((name) => byName.get(name));
   const visible = new Set(usual.filter((name) => byName.has(name) && !byName.get(name).empty));
   visible.add("video");
@@ -120,9 +121,9 @@
   };
   const name = (row) => {
     const frame = frameOf(row);
-    return element("th", { scope: "row", className: "left long" },
+    return element("th", { scope: "row", className: "left long" }, element("div", { className: "named" },
       frame && element("img", { className: "thumb", loading: "lazy", decoding: "async", alt: "", src: frame }),
-      element("a", { href: address(row), dir: "ltr", textContent: get("video", row) }));
+      element("a", { href: address(row), dir: "ltr", textContent: get("video", row) })));
   };
   const cell = (column, row) => {
     if (column.name === "video") return name(row);
@@ -139,7 +140,9 @@
     const shown = found.slice(first, first + PAGE);
     const drawn = usualFirst.filter((column) => visible.has(column.name));
     table.tBodies[0].replaceChildren(
-      ...shown.map((row) => element("tr", {}, ...drawn.map((column) => cell(column, row)))));
+      ...shown.map((row, i) => element("tr", { ariaRowIndex: String(first + i + 2) }, ...drawn.map((column) => cell(column, row)))));
+    // The page shows a part: said to those who hear it, headings counted.
+    table.ariaRowCount = String(found.length + 1);
     const of = found.length === rows.length ? "" : ` of the ${rows.length.toLocaleString("en")} here`;
     $("shown").textContent = found.length
       ? `${(first + 1).toLocaleString("en")}–${(first + shown.length).toLocaleString("en")} of ${found.length.toLocaleString("en")}${found.length === rows.length ? "" : " found"}${of}`
@@ -164,7 +167,7 @@
       clearTimeout(waiting);
       waiting = setTimeout(filter, 80);
     });
-    const first = ["status", "decision", "group", "fault_kinds", "scene"];
+    const first = ["status", "decision", "rung", "group", "fault_kinds", "scene"];
     const place = ({ name }) => (first.includes(name) ? first.indexOf(name) : first.length);
     const candidates = columns.filter(({ kind, name }) =>
       kind !== "number" && !["video", "status_reason", "fault_frames"].includes(name));
@@ -241,7 +244,7 @@
   const contributions = (row) =>
     Object.entries(data.parts)
       .map(([name, weight]) => ({ name, weight, z: get(name, row) }))
-      .map((part) => ({ ...part, share: part.z === null ? null : part.z * part.weight }))
+      .map((part) => ({ ...part, share: part.z === null || part.weight === null ? null : part.z * part.weight }))
       .sort((a, b) => (b.share ?? -Infinity) - (a.share ?? -Infinity));
   const parts = (row) => {
     const line = (tag, ...cells) => element("tr", {}, ...cells.map((text, i) =>
@@ -249,7 +252,7 @@
     return element("table", { className: "numbers" },
       element("thead", {}, line("th", "Signal", "z", "weight", "in the score")),
       element("tbody", {}, ...contributions(row).map(({ name, weight, z, share }) =>
-        line("td", name, z === null ? "–" : signed(z), weight.toFixed(2), share === null ? "–" : signed(share)))));
+        line("td", name, z === null ? "–" : signed(z), weight === null ? "not used" : weight.toFixed(2), share === null ? "–" : signed(share)))));
   };
 
   const pictures = (row) => {

@@ -8,10 +8,11 @@ use super::axis::{Axis, median};
 use super::chart::{Histogram, Ink, Outline, histogram};
 use super::facet::{COLOURED, Facet};
 use super::page::Section;
-use super::{Judged, ReportInput, text};
+use super::{Judged, ReportInput, signal_columns, text};
 use crate::publish::scores::score_columns;
 use crate::publish::table::{Cell, Column, Kind};
 use crate::reduce::distribution::Distribution;
+use crate::reduce::recipe::Signal;
 use crate::reduce::recipe_name;
 use crate::reduce::reference::Frozen;
 use plumbline_common::row::Row;
@@ -41,16 +42,17 @@ struct Measure<'a> {
 
 pub(super) fn section(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
     let columns = score_columns(input.rows);
+    let signals = signal_columns(input.rows);
     let measures: Vec<Measure<'_>> = columns
         .iter()
         .filter(|column| is_measure(column))
-        .map(|column| measure(column, input, judged))
+        .map(|column| measure(column, input, judged, &signals))
         .filter(|measure| measure.values.len() >= FEWEST)
         .collect();
     Section {
         id: "spread",
         title: "Distributions",
-        body: (!measures.is_empty()).then(|| body(input, judged, &measures)),
+        body: (!measures.is_empty()).then(|| body(input, judged, &measures, &signals)),
     }
 }
 
@@ -65,6 +67,7 @@ fn measure<'a>(
     column: &'a Column<Row>,
     input: &ReportInput<'a>,
     judged: &Judged<'a>,
+    signals: &[(Signal, &str)],
 ) -> Measure<'a> {
     let values = judged
         .worst_first
@@ -78,7 +81,7 @@ fn measure<'a>(
         values: values.collect(),
         reference: input
             .reference
-            .and_then(|reference| in_reference(reference, &column.name, input)),
+            .and_then(|reference| in_reference(reference, &column.name, input, signals)),
     }
 }
 
@@ -86,6 +89,7 @@ fn in_reference<'a>(
     reference: &'a Frozen,
     name: &str,
     input: &ReportInput<'_>,
+    signals: &[(Signal, &str)],
 ) -> Option<&'a Distribution> {
     if name == "anomaly" {
         let recipe = recipe_name(input.corpus.statistics.recipe);
@@ -94,20 +98,31 @@ fn in_reference<'a>(
             .get(recipe)
             .map(|scores| &scores.distribution);
     }
-    reference.signals.get(name)
+    let (signal, _) = signals.iter().find(|(_, column)| *column == name)?;
+    reference.signals.get(signal.column())
 }
 
-fn body<'a>(input: &ReportInput<'a>, judged: &Judged<'a>, measures: &[Measure<'a>]) -> Markup {
+fn body<'a>(
+    input: &ReportInput<'a>,
+    judged: &Judged<'a>,
+    measures: &[Measure<'a>],
+    signals: &[(Signal, &str)],
+) -> Markup {
     let facets = Facet::all(judged, input.corpus.source.len());
     // Scores and what goes into them first; the rest on demand.
-    let signals = &input.corpus.statistics.corpus.signals;
-    let leads =
-        |measure: &&Measure<'a>| measure.name == "anomaly" || signals.contains_key(measure.name);
-    let (leading, others): (Vec<_>, Vec<_>) = measures.iter().partition(leads);
+    let known = &input.corpus.statistics.corpus.signals;
+    let leads = |measure: &&Measure<'a>| {
+        let mut told = signals
+            .iter()
+            .filter(|(signal, _)| known.contains_key(signal.column()));
+        measure.name == "anomaly" || told.any(|(_, column)| *column == measure.name)
+    };
+    let (mut leading, others): (Vec<_>, Vec<_>) = measures.iter().partition(leads);
+    leading.sort_by_key(|measure| measure.name != "anomaly");
     let reference = input.reference.is_some();
     html! {
         p.lead {
-            "Share of the scored videos per bin, in percent, each part of its own whole. Axes leave out the outer 0.5%: what lies beyond stands in the outer bins. The vertical line is the median."
+            "Share of the scored videos per bin, in percent, each part of its own whole. Axes leave out the outer 0.5%: what lies beyond stands in the outer bins. The dashed line is the median of all videos."
         }
         @if facets.is_empty() { (panels(&leading, &others, None, reference)) }
         @for facet in &facets {
@@ -124,7 +139,7 @@ fn panels<'a>(
     reference: bool,
 ) -> Markup {
     let all = |measures: &[&Measure<'a>]| {
-        html! { div.panels.charts { @for measure in measures { (panel(measure, facet)) } } }
+        html! { div.panels { @for measure in measures { (panel(measure, facet)) } } }
     };
     html! {
         (key(facet, reference))
@@ -308,7 +323,7 @@ mod tests {
         {
             assert!((found - twin).abs() < 1e-12, "bin {bin}: {found} {twin}");
         }
-        let mut sorted = values.clone();
+        let mut sorted = values;
         sorted.sort_by(f64::total_cmp);
         assert!(
             reference_median(&reference)

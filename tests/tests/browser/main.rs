@@ -11,6 +11,7 @@
 )]
 
 mod large;
+mod speed;
 
 use plumbline_tests::browser::{Browser, Look, key};
 use plumbline_tests::run::Place;

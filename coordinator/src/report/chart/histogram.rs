@@ -1,7 +1,7 @@
 //! Shares of videos over bins: bars of the whole corpus, outlines of its parts and of a reference.
 
 use plotters::chart::ChartBuilder;
-use plotters::element::{PathElement, Rectangle};
+use plotters::element::{DashedPathElement, Rectangle};
 use plotters::series::LineSeries;
 use plotters::style::Color;
 
@@ -14,6 +14,8 @@ use crate::report::axis::{Axis, as_float};
 const SIZE: (u32, u32) = (400, 210);
 /// Smallest height of a bar that is not empty, as a share of the highest: an outlier must show.
 const LEAST: f64 = 0.012;
+/// Length of a dash, and of the gap after it, in units.
+const DASH: u32 = 5;
 
 /// What is drawn. All shares are of their own population, a share per bin.
 pub(in crate::report) struct Histogram<'h> {
@@ -23,7 +25,7 @@ pub(in crate::report) struct Histogram<'h> {
     pub(in crate::report) shares: &'h [f64],
     /// Lines over them.
     pub(in crate::report) outlines: &'h [Outline],
-    /// A marked value.
+    /// A value marked by a dashed line.
     pub(in crate::report) mark: Option<f64>,
     /// Name of the axis.
     pub(in crate::report) unit: &'h str,
@@ -86,9 +88,11 @@ pub(in crate::report) fn histogram(h: &Histogram<'_>) -> Option<String> {
                 .map_err(DrawError::new)?;
         }
         if let Some(mark) = h.mark.filter(|mark| h.axis.holds(*mark)) {
-            let line = PathElement::new(
+            let line = DashedPathElement::new(
                 [(mark, 0.0), (mark, y.hi)],
-                Ink::Mark.number().stroke_width(2),
+                DASH,
+                DASH,
+                Ink::Text.number().stroke_width(2),
             );
             chart.draw_series([line]).map_err(DrawError::new)?;
         }
