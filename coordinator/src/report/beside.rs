@@ -70,7 +70,7 @@ pub fn write(
             }
             let name = format!("{DIRECTORY}/{stem}{ending}");
             if std::fs::read(out.root().join(&name)).ok().as_ref() != Some(content) {
-                out.put_atomic(&name, content)?;
+                out.put_unsynced(&name, content)?;
             }
             written.insert(name);
             *there = true;
