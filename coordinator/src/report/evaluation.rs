@@ -59,7 +59,7 @@ fn rates(success: &Success) -> Markup {
             "Success as judged, of the videos with the lowest, middle and highest anomaly scores of each task, "
             "of as many drawn at random, and of all " (text::length(success.compared)) " compared; percent, with standard errors."
         }
-        figure.scatter {
+        figure.scatter.shares {
             @if let Some(chart) = chart(&success.sets) { (PreEscaped(chart)) }
         }
         (rate_table(&success.sets))
