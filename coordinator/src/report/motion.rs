@@ -60,7 +60,7 @@ fn body(groups: Option<&Facet<'_>>, points: &[Point], x: Axis, y: Axis) -> Marku
                 (PreEscaped(chart))
             }
             figcaption {
-                @if step > 1 { "Every " (step) "th of " (text::length(points.len())) " videos is drawn. " }
+                @if step > 1 { "One in " (step) " of the " (text::length(points.len())) " videos is drawn. " }
                 @if pinned > 0 { (text::length(pinned)) " beyond the axes stand at their edge." }
             }
         }
