@@ -170,7 +170,7 @@
     const first = ["status", "decision", "rung", "group", "fault_kinds", "scene"];
     const place = ({ name }) => (first.includes(name) ? first.indexOf(name) : first.length);
     const candidates = columns.filter(({ kind, name }) =>
-      kind !== "number" && !["video", "status_reason", "fault_frames", "profile_digest"].includes(name));
+      kind !== "number" && !["video", "status_reason", "fault_frames", "digest", "profile_digest"].includes(name));
     for (const column of candidates.sort((a, b) => place(a) - place(b))) {
       const values = new Set();
       for (const row of rows) {
