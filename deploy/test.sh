@@ -3,6 +3,7 @@
 # Usage: deploy/test.sh [SUITE]
 #   unit      formatting, lints, documentation, the deployment's files, and the tests beside the code
 #   cli       end-to-end tests of the built command
+#   browser   the report in a headless Chromium, which it installs
 #   parity    numbers of the reference implementations
 #   numerics  flow, geometry and statistics, with their extremes
 #   fleet     queues, object stores and a fleet under faults, against real servers, which it installs and starts
@@ -95,17 +96,19 @@ convert_models() {
     $python deploy/models/parity.py "$golden" --out "$work/learned"
 }
 
-cli='package(plumbline-tests) and not binary(/^(campaign|fleet)$/)'
+cli='package(plumbline-tests) and not binary(/^(browser|campaign|fleet)$/)'
+browser='binary(browser)'
 parity='binary(/^parity/)'
 fleet='(package(plumbline-common) and binary(/^(queue|store|restart)$/)) or binary(/^(campaign|fleet)$/)'
 servers=deploy/servers.sh
 numerics="(package(plumbline-vision) or test(/^reduce::/)) and not ($parity)"
 case $suite in
-    unit) lint; run "not ($cli) and not ($parity) and not ($numerics) and not ($fleet)" ;;
+    unit) lint; run "not ($cli) and not ($browser) and not ($parity) and not ($numerics) and not ($fleet)" ;;
     cli) install_trainers; seed_models; run "$cli" ;;
+    browser) apt_install chromium chromium-driver; run "$browser" ;;
     parity) export_prototype; convert_models; run "$parity" ;;
     numerics) run "$numerics" ;;
     fleet) seed_models; run "$fleet" "$servers" ;;
-    all) lint; export_prototype; convert_models; seed_models; install_trainers; run 'all()' "$servers" ;;
-    *) echo "unknown suite $suite: unit, cli, parity, numerics or fleet" >&2; exit 2 ;;
+    all) apt_install chromium chromium-driver; lint; export_prototype; convert_models; seed_models; install_trainers; run 'all()' "$servers" ;;
+    *) echo "unknown suite $suite: unit, cli, browser, parity, numerics or fleet" >&2; exit 2 ;;
 esac

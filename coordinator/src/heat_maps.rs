@@ -107,6 +107,16 @@ pub(crate) async fn draw(
     Ok(maps)
 }
 
+/// Heat maps that are there for these rows.
+pub(crate) fn there_already(rows: &[Row], out: &OutDir) -> HeatMaps {
+    let there = rows.iter().filter_map(|row| {
+        let file = file_name(row, subject(&row.measured)?);
+        let is_there = out.root().join(&file).is_file();
+        is_there.then(|| (row.video.clone(), file))
+    });
+    there.collect()
+}
+
 /// The most anomalous videos, the worst first: the highest ranks.
 fn worst(rows: &[Row], most: usize) -> Vec<&Row> {
     let mut ranked: Vec<&Row> = rows.iter().filter(|row| row.rank.is_some()).collect();

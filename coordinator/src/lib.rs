@@ -22,6 +22,7 @@ pub mod picture;
 pub mod profiles;
 pub mod progress;
 pub mod publish;
+pub mod rebuild;
 pub mod reduce;
 pub mod reduce_files;
 pub mod reference;

@@ -10,6 +10,7 @@ use tempfile::TempDir;
 
 use crate::heat_maps;
 use crate::publish::{self, Format};
+use crate::report::beside;
 use crate::run::RunError;
 
 /// Files uploaded at once.
@@ -109,6 +110,7 @@ fn is_published_name(name: &str) -> bool {
             .iter()
             .any(|list| list == name)
         || heat_maps::is_ours(name)
+        || beside::is_ours(name)
 }
 
 #[cfg(test)]
@@ -125,6 +127,7 @@ mod tests {
             "scores.csv",
             "corpus.json",
             "heatmaps/a-0123456789abcdef.png",
+            "videos/0123456789abcdef-heat.jpg",
             "lerobot/keep_episodes.json",
             "evaluation.md",
             "mine.csv",

@@ -7,7 +7,7 @@ mod cascade;
 mod error;
 mod journals;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,8 +30,12 @@ use crate::metrics::Metrics;
 use crate::parts::{self, Parts};
 use crate::progress::say;
 use crate::publish::{self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication};
+use crate::reduce::reference::Reference;
 use crate::reduce::{MeasuredVideo, ReduceOptions, Reduced};
 use crate::remote_out::RemoteOut;
+use crate::report::beside;
+use crate::report::player::Viewpoint;
+use crate::report::state::ReportState;
 use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
 use crate::stop::StopSignals;
 use crate::thresholds::FaultCalibration;
@@ -46,6 +50,9 @@ pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
 
 /// The frozen list of videos, below [`STATE_DIRECTORY`].
 pub(crate) const FROZEN_FILE: &str = "corpus.jsonl";
+
+/// What is measured, beside it.
+pub(crate) const JOURNAL_FILE: &str = "journal";
 
 /// What the run is called on a fleet, beside it.
 const RUN_FILE: &str = "run";
@@ -79,6 +86,8 @@ pub struct ScoreOptions {
     pub fleet: Option<FleetOptions>,
     /// Where the run is counted.
     pub metrics: Metrics,
+    /// What was typed, for the record.
+    pub command: String,
 }
 
 impl ScoreOptions {
@@ -101,7 +110,10 @@ impl ScoreOptions {
             .group_by
             .as_ref()
             .map_or("none".to_owned(), GroupBy::to_string);
-        let mut told = vec![("group by".to_owned(), group_by)];
+        let mut told = vec![
+            ("command".to_owned(), self.command.clone()),
+            ("group by".to_owned(), group_by),
+        ];
         if self.fleet.is_some() {
             let theirs = "a fleet, each worker within limits of its own".to_owned();
             told.push(("measured by".to_owned(), theirs));
@@ -285,8 +297,7 @@ impl Site<'_> {
 /// The journal of a profile below the run's own; what an earlier run with that profile alone has measured is
 /// taken over.
 fn journal_below(top: &Path, digest: &str, resume: bool) -> Result<PathBuf, JournalError> {
-    let short = digest.get(..12).unwrap_or(digest);
-    let path = top.with_file_name(format!("journal-{short}"));
+    let path = path_below(top, digest);
     if resume && top.exists() && !path.exists() {
         std::fs::copy(top, &path).map_err(|source| JournalError::Io {
             path: path.clone(),
@@ -294,6 +305,12 @@ fn journal_below(top: &Path, digest: &str, resume: bool) -> Result<PathBuf, Jour
         })?;
     }
     Ok(path)
+}
+
+/// Where that journal lies.
+pub(crate) fn path_below(top: &Path, digest: &str) -> PathBuf {
+    let short = digest.get(..12).unwrap_or(digest);
+    top.with_file_name(format!("journal-{short}"))
 }
 
 /// Has the `asked` entries measured, and keeps the answers.
@@ -408,7 +425,7 @@ impl Workplace {
     }
 
     fn journal_path(&self) -> PathBuf {
-        self.state.root().join("journal")
+        self.state.root().join(JOURNAL_FILE)
     }
 }
 
@@ -497,14 +514,31 @@ fn publish_run(
     };
     let locations: Vec<String> = entries.iter().map(Entry::address).collect();
     let thumbnails = |video: &VideoId| measured.thumbnails(video);
+    let state = ReportState {
+        options: options.told(),
+        reference: options
+            .reduce
+            .reference
+            .as_deref()
+            .map(Reference::frozen)
+            .cloned(),
+    };
+    state.write(&OutDir::create(out.root().join(STATE_DIRECTORY))?)?;
+    let (beside, mut files) = beside::write(out, &reduced.rows, &thumbnails)?;
+    let entry_of: HashMap<&VideoId, &Entry> =
+        entries.iter().map(|entry| (&entry.video, entry)).collect();
+    let viewpoint = Viewpoint::of(&options.out.to_string_lossy());
     let report = report::render(&ReportInput {
         title: &options.sources.join(", "),
         corpus: &corpus,
         rows: &reduced.rows,
         thumbnails: &thumbnails,
         heat_maps,
+        beside: &beside,
+        player: &|video| viewpoint.address(&entry_of.get(video)?.location),
+        reference: state.reference.as_ref(),
         costs: Some(CostSummary::of(costs)),
-        options: &options.told(),
+        options: &state.options,
         ranked: DEFAULT_RANKED,
     });
     let publication = Publication {
@@ -515,7 +549,8 @@ fn publish_run(
         report_html: Some(&report),
         corpus: &corpus,
     };
-    Ok(publish::publish(out, &publication, &options.formats)?)
+    files.extend(publish::publish(out, &publication, &options.formats)?);
+    Ok(files)
 }
 
 /// The frozen list beside the journal, for a person who asks what a run was about.

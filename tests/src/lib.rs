@@ -1,10 +1,10 @@
 //! Plumbline: end-to-end tests over the built commands.
 //!
 //! The library is what the suites share: the built binary ([`binary`]), small clips ([`clips`]), datasets of
-//! them ([`datasets`]), runs
-//! with a deadline ([`run`]), what a run published ([`published`]), other processes ([`process`]), and for
+//! them ([`datasets`]), runs with a deadline ([`run`]), a browser ([`browser`]), what a run published
+//! ([`published`]), other processes ([`process`]), and for
 //! fleets real servers ([`servers`]) and what goes wrong on the way to them ([`proxy`], [`s3_faults`]). The
-//! suites are test binaries: `cli` runs the `plumbline` command, `campaign` a fleet under faults. Everything
+//! suites are test binaries: `cli` runs the `plumbline` command, `campaign` a fleet under faults, `browser` looks at reports. Everything
 //! here fails by panicking.
 
 #![allow(
@@ -15,6 +15,7 @@
 )]
 
 pub mod binary;
+pub mod browser;
 pub mod clips;
 pub mod datasets;
 pub mod fleet;

@@ -54,6 +54,9 @@ pub(super) const SAMPLE: &str = "Examples:
   plumbline sample --out sample
   plumbline sample --out other --seed 7 --no-dense-truth";
 
+pub(super) const REPORT: &str = "Examples:
+  plumbline report scores";
+
 pub(super) const TRADEOFF: &str = "Examples:
   plumbline tradeoff rollouts --out tradeoff
   plumbline tradeoff rollouts --out tradeoff --sample 60 --keep 50% --videos 5000 --cores 64 --hours 8

@@ -12,6 +12,7 @@ mod queue;
 mod reduce;
 mod reducing;
 mod reference;
+mod report;
 mod sample;
 mod score;
 mod slam;
@@ -73,6 +74,8 @@ enum Command {
     Reference(reference::ReferenceArgs),
     #[command(after_help = examples::REDUCE)]
     Reduce(Box<reduce::ReduceArgs>),
+    #[command(after_help = examples::REPORT)]
+    Report(report::ReportArgs),
     #[command(after_help = examples::SAMPLE)]
     Sample(sample::SampleArgs),
     #[command(after_help = examples::SLAM)]
@@ -104,6 +107,7 @@ pub fn main() -> ExitCode {
         Command::Profile(args) => profile::run(args),
         Command::Reference(args) => reference::run(args),
         Command::Reduce(args) => reduce::run(*args),
+        Command::Report(args) => report::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Slam(args) => slam::run(args),
         Command::Tradeoff(args) => tradeoff::run(*args),

@@ -19,6 +19,7 @@ use crate::cascade::budget::Budget;
 use crate::corpus::{Choice, CorpusError, GroupBy};
 use crate::metrics::Metrics;
 use crate::reduce::outcome::NormaliseWithin;
+use crate::report::state::told_command;
 use crate::run::{self, CascadeOptions, RunError, ScoreOptions};
 use crate::watch;
 
@@ -201,6 +202,7 @@ impl ScoreArgs {
             cascade,
             fleet: None,
             metrics: Metrics::default(),
+            command: told_command(std::env::args()),
         })
     }
 }

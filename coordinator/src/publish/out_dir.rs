@@ -43,6 +43,15 @@ impl OutDir {
         self.put_atomic_with(name, |out| Ok(out.write_all(bytes)?))
     }
 
+    /// Puts `bytes` as [`put_atomic`](Self::put_atomic) does, without waiting for the disk: for many small files
+    /// that every run compares with what they should hold, so that one lost with the power comes back.
+    ///
+    /// # Errors
+    /// [`PublishError`] naming the file and the remedy; the old file, if any, is untouched.
+    pub fn put_unsynced(&self, name: &str, bytes: &[u8]) -> Result<(), PublishError> {
+        self.put(name, false, |out| Ok(out.write_all(bytes)?))
+    }
+
     /// Puts what `encode` writes under `name`, replacing what stood there in one step.
     ///
     /// # Errors
@@ -52,6 +61,15 @@ impl OutDir {
         name: &str,
         encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), EncodeError>,
     ) -> Result<(), PublishError> {
+        self.put(name, true, encode)
+    }
+
+    fn put(
+        &self,
+        name: &str,
+        synced: bool,
+        encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), EncodeError>,
+    ) -> Result<(), PublishError> {
         let target = self.resolve(name)?;
         let io_error = |source| PublishError::from_io(name, source);
         let parent = target.parent().unwrap_or(&self.root);
@@ -59,9 +77,15 @@ impl OutDir {
 
         let partial = Partial::beside(&target);
         let file = partial.open().map_err(io_error)?;
-        fill(file, name, encode)?;
+        let file = fill(file, name, encode)?;
+        if synced {
+            file.sync_all().map_err(io_error)?;
+        }
         fs::rename(&partial.path, &target).map_err(io_error)?;
-        sync_directory(parent).map_err(io_error)
+        if synced {
+            sync_directory(parent).map_err(io_error)?;
+        }
+        Ok(())
     }
 
     /// Removes `name` if it is there.
@@ -156,12 +180,12 @@ impl Drop for Partial {
     }
 }
 
-/// Writes and flushes to the disk.
+/// Writes all of it; gives the file back.
 fn fill(
     file: File,
     name: &str,
     encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), EncodeError>,
-) -> Result<(), PublishError> {
+) -> Result<File, PublishError> {
     let io_error = |source| PublishError::from_io(name, source);
     let mut out = BufWriter::new(Watched {
         inner: Behind::new(file),
@@ -176,7 +200,10 @@ fn fill(
         source,
     })?;
     out.flush().map_err(io_error)?;
-    out.get_ref().inner.file.sync_all().map_err(io_error)
+    let out = out
+        .into_inner()
+        .map_err(|error| io_error(error.into_error()))?;
+    Ok(out.inner.file)
 }
 
 /// Bytes written between two words to the system.

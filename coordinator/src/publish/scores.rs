@@ -10,14 +10,7 @@ use crate::reduce::decision_name;
 /// The columns of `scores.*` for these rows: ours, with the carried columns after `group`.
 #[must_use]
 pub fn score_columns(rows: &[Row]) -> Vec<Column<Row>> {
-    let reserved: Vec<String> = identity()
-        .into_iter()
-        .chain(measured())
-        .chain(judged())
-        .chain(on_ladder())
-        .map(|column| column.name)
-        .collect();
-    let carried = carried_columns(rows.iter().map(|row| &row.carried), &reserved);
+    let carried = carried_columns(rows.iter().map(|row| &row.carried), &own_names());
     let mut columns = identity();
     columns.extend(
         carried
@@ -30,6 +23,17 @@ pub fn score_columns(rows: &[Row]) -> Vec<Column<Row>> {
         columns.extend(on_ladder());
     }
     columns
+}
+
+/// Names of all columns that are ours, whatever the rows: no carried column bears one of them.
+#[must_use]
+pub fn own_names() -> Vec<String> {
+    let columns = [identity(), measured(), judged(), on_ladder()];
+    columns
+        .into_iter()
+        .flatten()
+        .map(|column| column.name)
+        .collect()
 }
 
 fn identity() -> Vec<Column<Row>> {

@@ -139,6 +139,12 @@ impl<R> Column<R> {
         }
     }
 
+    /// Whether it comes from the input list, not from us.
+    #[must_use]
+    pub fn is_carried(&self) -> bool {
+        matches!(self.source, Source::Carried { .. })
+    }
+
     /// The value of `record` in this column.
     #[must_use]
     pub fn cell<'r>(&'r self, record: &'r R) -> Cell<'r> {

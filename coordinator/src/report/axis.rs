@@ -1,4 +1,4 @@
-//! Linear axes: from values to positions, and round ticks.
+//! Linear axes: from values to positions and bins.
 
 /// Share of values left beyond each end of a trimmed axis, so that one outlier cannot press all
 /// others together.
@@ -38,6 +38,28 @@ impl Axis {
         }
     }
 
+    /// Whether round numbers can be told apart along it: a chart of a longer or finer one is left out.
+    pub(super) fn is_drawable(self) -> bool {
+        let length = self.hi - self.lo;
+        let largest = self.lo.abs().max(self.hi.abs());
+        (1e-90..1e90).contains(&length) && length > 1e-6 * largest
+    }
+
+    /// Shares of `values` in `bins` equal bins; those beyond the ends are in the outer ones.
+    pub(super) fn shares(self, values: &[f64], bins: usize) -> Vec<f64> {
+        let mut counts = vec![0_usize; bins];
+        for value in values {
+            if let Some(count) = counts.get_mut(self.bin(*value, bins)) {
+                *count += 1;
+            }
+        }
+        let all = as_float(values.len().max(1));
+        counts
+            .into_iter()
+            .map(|count| as_float(count) / all)
+            .collect()
+    }
+
     /// Wider by `share` of the length at each end.
     pub(crate) fn padded(self, share: f64) -> Self {
         let pad = (self.hi - self.lo) * share;
@@ -61,41 +83,6 @@ impl Axis {
     pub(crate) fn bin(self, value: f64, bins: usize) -> usize {
         let last = bins.saturating_sub(1);
         (floor_index(self.position(value) * as_float(bins))).min(last)
-    }
-
-    /// Round values inside, about `wanted` of them, each with its label.
-    pub(crate) fn ticks(self, wanted: usize) -> Vec<(f64, String)> {
-        let rough = (self.hi - self.lo) / as_float(wanted.max(1));
-        let power = libm::floor(libm::log10(rough));
-        let decade = libm::pow(10.0, power);
-        if !(decade.is_finite() && decade > 0.0) {
-            return Vec::new();
-        }
-        // A little denser than asked is better than half as dense.
-        let step = [1.0, 2.0, 5.0, 10.0]
-            .into_iter()
-            .map(|factor| factor * decade)
-            .find(|step| *step >= rough * 0.8)
-            .unwrap_or(rough);
-        let first = libm::ceil(self.lo / step);
-        let decimals = if step < 1.0 && step > 1e-4 {
-            floor_index(libm::ceil(-libm::log10(step) - 1e-9))
-        } else {
-            0
-        };
-        (0..=wanted.saturating_mul(3))
-            .map(|index| (first + as_float(index)) * step)
-            .take_while(|value| *value <= self.hi)
-            .map(|value| {
-                let value = if value == 0.0 { 0.0 } else { value };
-                let label = if step <= 1e-4 || value.abs() >= 1e5 {
-                    format!("{value:.1e}")
-                } else {
-                    format!("{value:.decimals$}")
-                };
-                (value, label)
-            })
-            .collect()
     }
 }
 
@@ -134,20 +121,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ticks_are_round_and_inside() {
-        let labels = |lo, hi| -> Vec<String> {
-            Axis::spanning(lo, hi)
-                .ticks(5)
-                .into_iter()
-                .map(|tick| tick.1)
-                .collect()
-        };
-        assert_eq!(labels(-1.7, 3.2), ["-1", "0", "1", "2", "3"]);
-        assert_eq!(labels(0.0, 0.9), ["0.0", "0.2", "0.4", "0.6", "0.8"]);
-        assert_eq!(labels(0.0, 23.0), ["0", "5", "10", "15", "20"]);
-    }
-
-    #[test]
     fn extremes_stay_finite() {
         for (lo, hi) in [
             (0.0, 0.0),
@@ -161,7 +134,6 @@ mod tests {
                 let position = axis.position(value);
                 assert!((0.0..=1.0).contains(&position), "{lo} {hi} {position}");
             }
-            assert!(axis.ticks(5).len() <= 16);
             assert_eq!(axis.bin(f64::MAX, 10), 9);
         }
         assert_eq!(Axis::trimmed(std::iter::empty()), None);

@@ -1,62 +1,46 @@
-//! How the anomaly scores are spread, in the corpus and in each group: small histograms on one
-//! axis.
+//! How the anomaly scores of each group are spread: small histograms on one axis.
 
-use maud::{Markup, html};
+use maud::{Markup, PreEscaped, html};
 
-use super::axis::{Axis, as_float, median};
+use super::axis::{Axis, median};
+use super::chart::{Histogram, histogram};
 use super::page::Section;
-use super::series::tenth;
 use super::{Judged, text};
-use crate::reduce::outcome::SignalStatistics;
 
 /// Groups drawn; more would be a wall.
 const GROUPS: usize = 24;
-/// Bins of the anomaly histograms; the paper's bins belong to its measures.
+/// Bins; the paper's belong to its measures.
 const BINS: usize = 30;
-
-/// Drawing units of one histogram.
-const WIDTH: f64 = 300.0;
-const HEIGHT: f64 = 84.0;
 
 pub(super) fn section(judged: &Judged<'_>) -> Section {
     let axis = Axis::trimmed(judged.worst_first.iter().map(|scored| scored.anomaly));
     Section {
         id: "groups",
-        title: if judged.grouped() {
-            "Scores by group"
-        } else {
-            "Scores"
-        },
-        body: axis.map(|axis| body(judged, axis)),
+        title: "Scores by group",
+        body: axis
+            .filter(|_| judged.grouped())
+            .map(|axis| body(judged, axis)),
     }
 }
 
 fn body(judged: &Judged<'_>, axis: Axis) -> Markup {
-    let all: Vec<f64> = judged.worst_first.iter().map(|s| s.anomaly).collect();
-    let mut panels: Vec<(Markup, Vec<f64>)> = Vec::new();
-    if judged.grouped() {
-        for (name, _) in judged.groups.iter().take(GROUPS) {
-            let values = judged
+    let groups = judged.groups.iter().take(GROUPS);
+    let mut panels: Vec<(Option<&str>, Vec<f64>)> = groups
+        .map(|(name, _)| {
+            let of_group = judged
                 .worst_first
                 .iter()
-                .filter(|scored| scored.row.group.as_deref() == *name)
-                .map(|scored| scored.anomaly)
-                .collect();
-            panels.push((text::group(*name), values));
-        }
-        // The worst group first; both lists are sorted, so equal medians keep the order by size.
-        panels.sort_by(|a, b| middle(&b.1).total_cmp(&middle(&a.1)));
-    }
-    let beyond = all.iter().filter(|value| !axis.holds(**value)).count();
+                .filter(|scored| scored.row.group.as_deref() == *name);
+            (*name, of_group.map(|scored| scored.anomaly).collect())
+        })
+        .collect();
+    // The worst group first; both lists are sorted, so equal medians keep the order by size.
+    let middle = |values: &[f64]| median(values).unwrap_or(f64::NEG_INFINITY);
+    panels.sort_by(|a, b| middle(&b.1).total_cmp(&middle(&a.1)));
     html! {
-        p.lead {
-            "Anomaly scores" @if judged.grouped() { ", all groups on one axis, the group with the highest median first" }
-            ". The line marks the median; each panel has its own height."
-            @if beyond > 0 { " " (text::length(beyond)) " beyond the axis stand in the outer bars." }
-        }
+        p.lead { "Anomaly scores, all groups on one axis, the group with the highest median first. The dashed line marks the median; each panel has its own height." }
         div.panels {
-            (panel(&html! { "All videos" }, &all, axis, "all"))
-            @for (name, values) in &panels { (panel(name, values, axis, "")) }
+            @for (name, values) in &panels { (panel(*name, values, axis)) }
         }
         @if judged.groups.len() > GROUPS {
             p.more { "The " (GROUPS) " largest of " (text::length(judged.groups.len())) " groups are drawn; scores.* has them all." }
@@ -64,63 +48,26 @@ fn body(judged: &Judged<'_>, axis: Axis) -> Markup {
     }
 }
 
-fn middle(worst_first: &[f64]) -> f64 {
-    median(worst_first).unwrap_or(f64::NEG_INFINITY)
-}
-
-fn panel(name: &Markup, worst_first: &[f64], axis: Axis, class: &str) -> Markup {
-    let mut counts = vec![0_u64; BINS];
-    for value in worst_first {
-        if let Some(count) = counts.get_mut(axis.bin(*value, BINS)) {
-            *count += 1;
-        }
-    }
+fn panel(name: Option<&str>, worst_first: &[f64], axis: Axis) -> Markup {
     let middle = median(worst_first);
+    let says = format!(
+        "Anomaly scores of {}, median {}",
+        text::plain_name(name.unwrap_or("videos without a group"), 60),
+        text::signed(middle)
+    );
+    let chart = histogram(&Histogram {
+        axis,
+        shares: &axis.shares(worst_first, BINS),
+        outlines: &[],
+        mark: middle,
+        unit: "",
+        says: &says,
+    });
     html! {
-        figure class={ "panel " (class) } {
-            figcaption { span.name { (name) } span.quiet { (text::length(worst_first.len())) } }
-            (histogram(&counts, axis, middle, 4))
+        figure.panel {
+            figcaption { span.name { (text::group(name)) } span.quiet { (text::length(worst_first.len())) } }
+            @if let Some(chart) = chart { (PreEscaped(chart)) }
             p.quiet { "median " (text::signed(middle)) }
-        }
-    }
-}
-
-/// The histogram of one of the paper's measures, as the entropy saw it.
-pub(super) fn signal_histogram(signal: &SignalStatistics) -> Option<Markup> {
-    let (lo, hi) = (*signal.edges.first()?, *signal.edges.last()?);
-    let axis = Axis::spanning(lo, hi);
-    Some(histogram(&signal.counts, axis, signal.mean, 7))
-}
-
-/// Bars over `axis`, a line at `mark`, and about `ticks` ticks below.
-fn histogram(counts: &[u64], axis: Axis, mark: Option<f64>, ticks: usize) -> Markup {
-    let highest = counts.iter().copied().max().unwrap_or(0).max(1);
-    let bar = WIDTH / as_float(counts.len().max(1));
-    // A bar never vanishes: a single outlier among thousands must show.
-    const LEAST: f64 = 1.5;
-    #[expect(clippy::cast_precision_loss, reason = "bar heights on a page")]
-    let height = |count: u64| (HEIGHT * count as f64 / highest as f64).max(LEAST);
-    html! {
-        div.histogram {
-            svg viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } preserveAspectRatio="none" aria-hidden="true" {
-                @for (index, count) in counts.iter().enumerate() {
-                    @if *count > 0 {
-                        rect x=(tenth(as_float(index) * bar + bar * 0.06)) width=(tenth(bar * 0.88))
-                            y=(tenth(HEIGHT - height(*count))) height=(tenth(height(*count))) {
-                            title { (text::count(*count)) }
-                        }
-                    }
-                }
-                path.base d={ "M0 " (HEIGHT) "H" (WIDTH) } {}
-                @if let Some(mark) = mark {
-                    path.mark d={ "M" (tenth(axis.position(mark) * WIDTH)) " 0V" (HEIGHT) } {}
-                }
-            }
-            div.ticks aria-hidden="true" {
-                @for (value, label) in axis.ticks(ticks) {
-                    span style={ "left:" (tenth(axis.position(value) * 100.0)) "%" } { (label) }
-                }
-            }
         }
     }
 }

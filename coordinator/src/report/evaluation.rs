@@ -1,9 +1,9 @@
 //! The section that `plumbline evaluate` adds to a report: success rates as bars with their standard
 //! errors, and populations side by side.
 
-use maud::{Markup, html};
+use maud::{Markup, PreEscaped, html};
 
-use super::series::tenth;
+use super::chart::{Bar, bars as bars_chart};
 use super::text;
 use crate::evaluate::document::{auroc, rate_text, signed};
 use crate::evaluate::sets::SetRate;
@@ -17,14 +17,6 @@ const LINK: &str = "<a href=\"#evaluation\">Evaluation</a>";
 /// Tasks listed; evaluation.json has them all.
 const TASKS: usize = 60;
 
-/// Drawing units of the bars.
-const WIDTH: f64 = 640.0;
-const BAR: f64 = 22.0;
-const STEP: f64 = 34.0;
-/// Where bars start and end; names stand before, figures behind.
-const LEFT: f64 = 70.0;
-const RIGHT: f64 = 520.0;
-
 /// The report with this evaluation in it, in place of an earlier one. Text in reports is escaped, so
 /// that no name can look like the places searched for.
 pub(super) fn added_to(report: &str, evaluation: &Evaluation) -> Option<String> {
@@ -34,7 +26,18 @@ pub(super) fn added_to(report: &str, evaluation: &Evaluation) -> Option<String> 
         page.replace_range(start..end, "");
         page = page.replacen(LINK, "", 1);
     }
-    page.insert_str(page.rfind("</main>")?, &section(evaluation));
+    added(page, &section(evaluation))
+}
+
+/// The report with the evaluation that an earlier one of the same scores shows.
+pub(super) fn taken_over(earlier: &str, report: &str) -> Option<String> {
+    let start = earlier.find(OPEN)?;
+    let end = start + earlier[start..].find(CLOSE)? + CLOSE.len();
+    added(report.to_owned(), &earlier[start..end])
+}
+
+fn added(mut page: String, section: &str) -> Option<String> {
+    page.insert_str(page.rfind("</main>")?, section);
     page.insert_str(page.find("</nav>")?, LINK);
     Some(page)
 }
@@ -56,7 +59,10 @@ fn rates(success: &Success) -> Markup {
             "Success as judged, of the videos with the lowest, middle and highest anomaly scores of each task, "
             "of as many drawn at random, and of all " (text::length(success.compared)) " compared; percent, with standard errors."
         }
-        (bars(&success.sets))
+        figure.scatter.shares {
+            @if let Some(chart) = chart(&success.sets) { (PreEscaped(chart)) }
+        }
+        (rate_table(&success.sets))
         p.more {
             @for (index, difference) in success.differences.iter().enumerate() {
                 @if index > 0 { " · " }
@@ -101,24 +107,27 @@ fn rates(success: &Success) -> Markup {
     }
 }
 
-fn bars(sets: &[SetRate]) -> Markup {
-    let at = |percent: f64| LEFT + (RIGHT - LEFT) * percent.clamp(0.0, 100.0) / 100.0;
-    let height = STEP * super::axis::as_float(sets.len());
+fn chart(sets: &[SetRate]) -> Option<String> {
+    let bars: Vec<Bar<'_>> = sets
+        .iter()
+        .map(|SetRate { set, rate }| Bar {
+            name: set.name(),
+            percent: rate.percent,
+            standard_error: rate.standard_error,
+        })
+        .collect();
+    bars_chart(
+        &bars,
+        "Success rates in percent with standard errors; the table below has the numbers",
+    )
+}
+
+/// The same numbers for those who do not see the chart.
+fn rate_table(sets: &[SetRate]) -> Markup {
     html! {
-        svg.bars viewBox={ "0 0 " (WIDTH) " " (height) } role="img" aria-label="Success rates" style="max-width:720px;width:100%" {
-            @for (index, SetRate { set, rate }) in sets.iter().enumerate() {
-                @let top = super::axis::as_float(index) * STEP + (STEP - BAR) / 2.0;
-                @let middle = top + BAR / 2.0;
-                text x="0" y=(tenth(middle + 5.0)) style="fill:var(--ink);font-size:15px" { (set.name()) }
-                rect x=(tenth(LEFT)) y=(tenth(top)) width=(tenth(at(rate.percent) - LEFT)) height=(tenth(BAR))
-                    style="fill:var(--bar)" {}
-                @if let Some(error) = rate.standard_error {
-                    path style="stroke:var(--mark);stroke-width:2" d={
-                        "M" (tenth(at(rate.percent - error))) " " (tenth(middle)) "H" (tenth(at(rate.percent + error)))
-                    } {}
-                }
-                text x=(tenth(RIGHT + 8.0)) y=(tenth(middle + 5.0)) style="fill:var(--soft);font-size:13px" { (rate_text(rate)) }
-            }
+        table.numbers {
+            thead { tr { @for SetRate { set, .. } in sets { th scope="col" { (set.name()) } } } }
+            tbody { tr { @for SetRate { rate, .. } in sets { td { (rate_text(rate)) } } } }
         }
     }
 }

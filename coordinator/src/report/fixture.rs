@@ -13,10 +13,10 @@ use crate::reduce::outcome::{
 };
 
 /// SplitMix64.
-pub(super) struct Dice(u64);
+pub(crate) struct Dice(u64);
 
 impl Dice {
-    pub(super) fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self(seed)
     }
 
@@ -67,7 +67,7 @@ fn blank(video: &str) -> Row {
 }
 
 /// A scored clip of 49 frames whose series jumps at its peak.
-pub(super) fn scored(video: &str, group: Option<&str>, bias: f64, dice: &mut Dice) -> Row {
+pub(crate) fn scored(video: &str, group: Option<&str>, bias: f64, dice: &mut Dice) -> Row {
     let motion = (1.2 + 0.9 * dice.normal() + bias).abs() + 0.15;
     let anomaly = bias + 0.8 * dice.normal() + 0.25 * motion;
     let peak = 9 + (dice.unit() * 38.0) as u32;
@@ -129,7 +129,7 @@ pub(super) fn scored(video: &str, group: Option<&str>, bias: f64, dice: &mut Dic
 }
 
 /// Ranks the rows, keeps the best 80% and fits the statistics to them.
-pub(super) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
+pub(crate) fn corpus_of(rows: &mut [Row], recipe: Recipe) -> CorpusFile {
     let mut order: Vec<usize> = (0..rows.len())
         .filter(|index| rows[*index].anomaly.is_some())
         .collect();
@@ -261,7 +261,7 @@ fn population(rows: &[&Row]) -> Population {
 }
 
 /// A corpus of robot rollouts in `groups` tasks, with a share of videos that could not be scored.
-pub(super) fn rollouts(videos: usize, groups: usize) -> Vec<Row> {
+pub(crate) fn rollouts(videos: usize, groups: usize) -> Vec<Row> {
     const TASKS: [&str; 8] = [
         "pick_spoon",
         "open_drawer",
@@ -308,7 +308,7 @@ pub(super) fn rollouts(videos: usize, groups: usize) -> Vec<Row> {
 }
 
 /// Two JPEG pictures: a scene of blocks, and a warm spot.
-pub(super) fn thumbnails(video: &VideoId) -> Option<Thumbnails> {
+pub(crate) fn thumbnails(video: &VideoId) -> Option<Thumbnails> {
     let seed = video.as_str().bytes().map(u32::from).sum::<u32>();
     let jpeg = |paint: &dyn Fn(u32, u32) -> [u8; 3]| {
         let picture = image::RgbImage::from_fn(160, 120, |x, y| image::Rgb(paint(2 * x, 2 * y)));
@@ -346,7 +346,7 @@ pub(super) fn thumbnails(video: &VideoId) -> Option<Thumbnails> {
 }
 
 /// Names that break careless pages.
-pub(super) fn hostile(rows: &mut Vec<Row>) {
+pub(crate) fn hostile(rows: &mut Vec<Row>) {
     let names = [
         "<script>document.title='owned'</script>.mp4".to_owned(),
         "\"><img src=x onerror=alert(1)>.mp4".to_owned(),

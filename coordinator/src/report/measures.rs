@@ -3,15 +3,16 @@
 
 use std::collections::BTreeMap;
 
-use maud::{Markup, html};
+use maud::{Markup, PreEscaped, html};
 
-use super::distribution::signal_histogram;
+use super::axis::Axis;
+use super::chart::{self, Histogram};
 use super::page::Section;
-use super::text;
-use crate::publish::CorpusFile;
-use crate::reduce::outcome::{Population, Range, Recipe, WeightSensitivity};
+use super::{ReportInput, signal_columns, text};
+use crate::reduce::outcome::{Population, Range, Recipe, SignalStatistics, WeightSensitivity};
+use crate::reduce::recipe::Signal;
 
-/// The measures by column name, and what a reader calls them.
+/// The measures by the name that the statistics have for them, and what a reader calls them.
 const MEASURES: [(&str, &str, &str); 2] = [
     ("reproj_px", "Geometric", "reprojection residual, px"),
     (
@@ -23,8 +24,9 @@ const MEASURES: [(&str, &str, &str); 2] = [
 /// Groups listed; corpus.json has them all.
 const GROUPS: usize = 60;
 
-pub(super) fn section(corpus: &CorpusFile) -> Section {
-    let statistics = &corpus.statistics;
+pub(super) fn section(input: &ReportInput<'_>) -> Section {
+    let statistics = &input.corpus.statistics;
+    let columns = signal_columns(input.rows);
     let known = |population: &Population| {
         MEASURES
             .iter()
@@ -39,14 +41,14 @@ pub(super) fn section(corpus: &CorpusFile) -> Section {
                     Range::Full => "the full range",
                     Range::Winsorised => "the 0.5–99.5% range",
                 }
-                "; the line marks the mean. "
+                "; the dashed line marks the mean. "
                 @if statistics.reference.is_some() {
                     "This run is scored against a reference: these weights are for comparison only."
                 } @else if statistics.recipe == Recipe::Balanced {
                     "This run’s score uses the balanced recipe: these weights are for comparison only."
                 }
             }
-            div.panels.wide { @for measure in MEASURES { (histogram(&statistics.corpus, measure)) } }
+            div.panels.wide { @for measure in MEASURES { (histogram(&statistics.corpus, measure, &columns)) } }
             (weights(&statistics.corpus, &statistics.groups))
             @if let Some(sensitivity) = &statistics.sensitivity {
                 (firmness(&statistics.corpus.weights, sensitivity))
@@ -60,14 +62,19 @@ pub(super) fn section(corpus: &CorpusFile) -> Section {
     }
 }
 
-fn histogram(corpus: &Population, (name, title, unit): (&str, &str, &str)) -> Markup {
+fn histogram(
+    corpus: &Population,
+    (name, title, unit): (&str, &str, &str),
+    columns: &[(Signal, &str)],
+) -> Markup {
+    let column = columns.iter().find(|(signal, _)| signal.column() == name);
     let Some(signal) = corpus.signals.get(name) else {
         return html! {};
     };
     html! {
         figure.panel {
-            figcaption { span.name { (title) } span.quiet { (unit) } }
-            @if let Some(bars) = signal_histogram(signal) { (bars) }
+            figcaption { span.name { (title) } code { (column.map_or(name, |(_, column)| *column)) } }
+            @if let Some(bars) = as_the_entropy_saw_it(signal, title, unit) { (PreEscaped(bars)) }
             p.quiet {
                 "H " (text::fixed(signal.entropy_nats, 2)) " nats · mean " (text::magnitude(signal.mean))
                 " · σ " (text::magnitude(signal.std)) " · median " (text::magnitude(signal.median))
@@ -75,6 +82,34 @@ fn histogram(corpus: &Population, (name, title, unit): (&str, &str, &str)) -> Ma
             }
         }
     }
+}
+
+/// The very bins behind the entropy.
+fn as_the_entropy_saw_it(signal: &SignalStatistics, title: &str, unit: &str) -> Option<String> {
+    let (lo, hi) = (*signal.edges.first()?, *signal.edges.last()?);
+    #[expect(clippy::cast_precision_loss, reason = "shares on a page")]
+    let count = |count: &u64| *count as f64;
+    let all: f64 = signal.counts.iter().map(count).sum();
+    let shares: Vec<f64> = signal
+        .counts
+        .iter()
+        .map(|n| count(n) / all.max(1.0))
+        .collect();
+    let highest = shares.iter().copied().fold(0.0, f64::max);
+    let says = format!(
+        "{title} measure over {} bins, mean {}; the fullest bin holds {}% of the videos",
+        text::length(signal.counts.len()),
+        text::magnitude(signal.mean),
+        text::fixed(Some(100.0 * highest), 0)
+    );
+    chart::histogram(&Histogram {
+        axis: Axis::spanning(lo, hi),
+        shares: &shares,
+        outlines: &[],
+        mark: signal.mean,
+        unit,
+        says: &says,
+    })
 }
 
 fn weights(corpus: &Population, groups: &BTreeMap<String, Population>) -> Markup {
@@ -120,12 +155,18 @@ fn weights(corpus: &Population, groups: &BTreeMap<String, Population>) -> Markup
 }
 
 fn firmness(published: &BTreeMap<String, f64>, sensitivity: &WeightSensitivity) -> Markup {
-    let line = |name: &str, weights: &BTreeMap<String, f64>| {
+    let bins = &sensitivity.freedman_diaconis_bins;
+    let line = |name: &str,
+                weights: &BTreeMap<String, f64>,
+                bins: Option<&BTreeMap<String, u16>>| {
         html! {
             tr {
                 th scope="row" { (name) }
                 @for (measure, ..) in MEASURES {
-                    td { (text::fixed(weights.get(measure).copied(), 2)) }
+                    td {
+                        (text::fixed(weights.get(measure).copied(), 2))
+                        @if let Some(bins) = bins.and_then(|bins| bins.get(measure)) { span.quiet { " (" (bins) " bins)" } }
+                    }
                 }
             }
         }
@@ -141,9 +182,9 @@ fn firmness(published: &BTreeMap<String, f64>, sensitivity: &WeightSensitivity) 
                     }
                 }
                 tbody {
-                    (line("As used", published))
-                    (line("Freedman–Diaconis bins", &sensitivity.freedman_diaconis))
-                    (line("0.5–99.5% range", &sensitivity.winsorised))
+                    (line("As used", published, None))
+                    (line("Freedman–Diaconis bins", &sensitivity.freedman_diaconis, Some(bins)))
+                    (line("0.5–99.5% range", &sensitivity.winsorised, None))
                 }
             }
         }

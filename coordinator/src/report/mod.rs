@@ -1,31 +1,39 @@
 //! `report.html`: one self-contained page that says what was scored, how to read it, who is worst
 //! and best and where, and on what grounds.
 //!
-//! Inline CSS and SVG, images as `data:` addresses, one short inline script that sorts and filters
-//! the table (the page is whole without it); a content policy forbids every request. All text is
-//! escaped by maud. The page is bounded whatever the corpus: tables, points, series and pictures
-//! are capped, and each cap says so on the page. Rendering cannot fail; equal input gives equal
-//! bytes. Pixel figures are pixels of a 256-px-high picture.
+//! Inline CSS and SVG, the ranked videos' pictures as `data:` addresses, the rows as a block of JSON, and
+//! one inline script that sorts and filters them and opens a video (rankings, charts and totals are there
+//! without it). What is loaded when it comes into view lies beside the page ([`beside`]), and a content
+//! policy forbids every other request. All text is escaped by maud. The page is bounded whatever the
+//! corpus: tables, points, series and pictures are capped, and each cap says so on the page. Rendering
+//! cannot fail; equal input gives equal bytes. Pixel figures are pixels of a 256-px-high picture.
 
 pub(crate) mod axis;
+pub mod beside;
 mod cascade;
+pub(crate) mod chart;
+mod clip;
+mod data;
 mod distribution;
 mod drift;
 mod evaluation;
+mod facet;
 mod faults;
 mod measures;
 mod motion;
 mod overview;
 pub(crate) mod page;
+pub mod player;
 mod provenance;
 mod ranking;
-mod series;
+mod spreads;
+pub mod state;
 mod statuses;
 mod table;
 pub(crate) mod text;
 
 #[cfg(test)]
-mod fixture;
+pub(crate) mod fixture;
 #[cfg(test)]
 mod tests;
 
@@ -37,6 +45,9 @@ use plumbline_common::row::{Row, Status};
 
 use crate::evaluate::Evaluation;
 use crate::publish::{CorpusFile, CostRow};
+use crate::reduce::recipe::Signal;
+use crate::reduce::reference::Frozen;
+use beside::BesideReport;
 
 /// Videos shown at each end of the ranking unless the caller says otherwise.
 pub const DEFAULT_RANKED: usize = 12;
@@ -56,6 +67,12 @@ pub struct ReportInput<'a> {
     pub thumbnails: &'a dyn Fn(&VideoId) -> Option<Thumbnails>,
     /// Larger pictures of some videos: files beside the report, which is whole without them.
     pub heat_maps: &'a BTreeMap<VideoId, String>,
+    /// Files of videos beside the report.
+    pub beside: &'a BesideReport,
+    /// The address of a video as seen from the report, where it can be played from there.
+    pub player: &'a dyn Fn(&VideoId) -> Option<String>,
+    /// What the rows were scored against, where it was a frozen reference.
+    pub reference: Option<&'a Frozen>,
     /// What the run cost; a report with costs differs from run to run.
     pub costs: Option<CostSummary>,
     /// Options of the run, as name and value, for the record.
@@ -105,21 +122,24 @@ impl CostSummary {
 #[must_use]
 pub fn render(input: &ReportInput<'_>) -> String {
     let judged = Judged::of(input.rows);
+    let listed = data::listed(input.rows);
     let sections = [
         overview::section(input),
         cascade::section(input),
         ranking::worst(input, &judged),
+        table::section(input, &listed),
         faults::section(input.rows),
+        spreads::section(input, &judged),
         distribution::section(&judged),
         motion::section(&judged),
         drift::section(input.corpus),
-        measures::section(input.corpus),
+        measures::section(input),
         ranking::best(input, &judged),
-        table::section(input, &judged),
         statuses::section(input.rows),
         provenance::section(input),
     ];
-    page::assemble(SCORES_OF, input.title, sections)
+    let data = (!listed.is_empty()).then(|| data::block(input, &listed));
+    page::assemble(SCORES_OF, input.title, sections, data.as_deref())
 }
 
 /// The report with the section that says how scores and judgements agree, in place of an earlier one;
@@ -128,8 +148,25 @@ pub fn render(input: &ReportInput<'_>) -> String {
 pub fn with_evaluation(report: Option<&str>, evaluation: &Evaluation) -> String {
     let added = report.and_then(|report| evaluation::added_to(report, evaluation));
     added.unwrap_or_else(|| {
-        let bare = page::assemble(SCORES_OF, &evaluation.scores, []);
+        let bare = page::assemble(SCORES_OF, &evaluation.scores, [], None);
         evaluation::added_to(&bare, evaluation).unwrap_or(bare)
+    })
+}
+
+/// The report with the evaluation that an earlier one shows, where it does.
+#[must_use]
+pub fn keeping_evaluation(earlier: &str, report: String) -> String {
+    evaluation::taken_over(earlier, &report).unwrap_or(report)
+}
+
+/// The column that each signal's values are of: DROID-SLAM's where rows have it.
+fn signal_columns(rows: &[Row]) -> [(Signal, &'static str); Signal::ALL.len()] {
+    let by_droid = rows
+        .iter()
+        .any(|row| row.measured.reproj_droid_px.is_some());
+    Signal::ALL.map(|signal| {
+        let preferred = signal.preferred_column().filter(|_| by_droid);
+        (signal, preferred.unwrap_or(signal.column()))
     })
 }
 
@@ -162,12 +199,7 @@ impl<'a> Judged<'a> {
                 .total_cmp(&a.anomaly)
                 .then_with(|| b.row.video.cmp(&a.row.video))
         });
-        let mut sizes = std::collections::BTreeMap::new();
-        for scored in &worst_first {
-            *sizes.entry(scored.row.group.as_deref()).or_insert(0) += 1;
-        }
-        let mut groups: Vec<_> = sizes.into_iter().collect();
-        groups.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+        let groups = facet::sizes(&worst_first, facet::group);
         Self {
             worst_first,
             groups,

@@ -1,101 +1,67 @@
 //! Motion against anomaly, by group, with Spearman's ρ: how much of the score follows motion.
 
-use maud::{Markup, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::axis::Axis;
+use super::chart::{Point, marker, scatter};
+use super::facet::{COLOURED, Facet};
 use super::page::Section;
-use super::series::tenth;
 use super::{Judged, text};
 use crate::agreement::spearman;
 
 /// Points drawn; beyond, every k-th by rank, so that the cloud keeps its shape.
 const POINTS: usize = 2_000;
-/// Groups with a colour and a mark of their own; the others share the last.
-const COLOURS: usize = 6;
 /// Fewest videos for a correlation worth stating.
 const FEWEST: usize = 8;
-/// Drawing units.
-const WIDTH: f64 = 860.0;
-const HEIGHT: f64 = 380.0;
-/// Half the size of a mark.
-const MARK: f64 = 3.4;
-
-struct Point {
-    motion_px: f64,
-    anomaly: f64,
-    series: usize,
-}
 
 pub(super) fn section(judged: &Judged<'_>) -> Section {
+    let groups = Facet::all(judged, 1).into_iter().next();
     let points: Vec<Point> = judged
         .worst_first
         .iter()
         .filter_map(|scored| {
-            let motion_px = scored.row.measured.motion_px.filter(|m| m.is_finite())?;
-            let series = judged
-                .groups
-                .iter()
-                .take(COLOURS)
-                .position(|(name, _)| *name == scored.row.group.as_deref())
-                .unwrap_or(COLOURS);
             Some(Point {
-                motion_px,
-                anomaly: scored.anomaly,
-                series,
+                x: scored
+                    .row
+                    .measured
+                    .motion_px
+                    .filter(|motion| motion.is_finite())?,
+                y: scored.anomaly,
+                series: groups
+                    .as_ref()
+                    .map_or(0, |groups| groups.series(scored.row)),
             })
         })
         .collect();
-    let axes = Axis::trimmed(points.iter().map(|point| point.motion_px))
-        .zip(Axis::trimmed(points.iter().map(|point| point.anomaly)));
+    let axes = Axis::trimmed(points.iter().map(|point| point.x))
+        .zip(Axis::trimmed(points.iter().map(|point| point.y)));
     Section {
         id: "motion",
         title: "Motion",
-        body: axes.map(|(x, y)| body(judged, &points, x.padded(0.03), y.padded(0.05))),
+        body: axes.map(|(x, y)| body(groups.as_ref(), &points, x.padded(0.03), y.padded(0.05))),
     }
 }
 
-fn body(judged: &Judged<'_>, points: &[Point], x: Axis, y: Axis) -> Markup {
-    let pairs: Vec<(f64, f64)> = points.iter().map(|p| (p.motion_px, p.anomaly)).collect();
+fn body(groups: Option<&Facet<'_>>, points: &[Point], x: Axis, y: Axis) -> Markup {
+    let pairs: Vec<(f64, f64)> = points.iter().map(|point| (point.x, point.y)).collect();
     let step = points.len().div_ceil(POINTS).max(1);
+    let drawn: Vec<Point> = points.iter().step_by(step).copied().collect();
     let pinned = points
         .iter()
-        .filter(|point| !(x.holds(point.motion_px) && y.holds(point.anomaly)))
+        .filter(|point| !(x.holds(point.x) && y.holds(point.y)))
         .count();
+    let verdict = verdict(&pairs);
+    let says = format!("Anomaly score over mean motion. {verdict}");
     html! {
-        p.lead { (verdict(&pairs)) }
+        p.lead { (verdict) }
         figure.scatter {
-            @if judged.grouped() { (legend(judged)) }
-            div.plot {
-                div.yticks aria-hidden="true" {
-                    @for (value, label) in y.ticks(6) {
-                        span style={ "top:" (tenth(100.0 - y.position(value) * 100.0)) "%" } { (label) }
-                    }
-                }
-                svg viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img" aria-label="Anomaly score over mean motion" {
-                    @for (value, _) in y.ticks(6) {
-                        path.grid d={ "M0 " (tenth(HEIGHT - y.position(value) * HEIGHT)) "H" (WIDTH) } {}
-                    }
-                    @for (value, _) in x.ticks(6) {
-                        path.grid d={ "M" (tenth(x.position(value) * WIDTH)) " 0V" (HEIGHT) } {}
-                    }
-                    @for point in points.iter().step_by(step) {
-                        path class={ "s" (point.series) } d=(mark(
-                            point.series,
-                            x.position(point.motion_px) * WIDTH,
-                            HEIGHT - y.position(point.anomaly) * HEIGHT,
-                        )) {}
-                    }
-                }
-                div.ticks aria-hidden="true" {
-                    @for (value, label) in x.ticks(6) {
-                        span style={ "left:" (tenth(x.position(value) * 100.0)) "%" } { (label) }
-                    }
-                }
+            @if let Some(groups) = groups { (legend(groups)) }
+            @if let Some(chart) = scatter(&drawn, (x, "mean motion, px per frame"), (y, "anomaly score"), &says) {
+                (PreEscaped(chart))
             }
             figcaption {
-                "Across: mean motion, px per frame. Up: anomaly score."
-                @if step > 1 { " Every " (step) "th of " (text::length(points.len())) " videos is drawn." }
-                @if pinned > 0 { " " (text::length(pinned)) " beyond the axes stand at their edge." }
+                @if step > 1 { "One in " (step) " of the " (text::length(points.len())) " videos is drawn. " }
+                @if pinned > 0 { (text::length(pinned)) " beyond the axes stand at their edge." }
             }
         }
     }
@@ -117,49 +83,23 @@ fn verdict(pairs: &[(f64, f64)]) -> String {
                     "much of the score follows motion: compare only videos that move alike, or use the balanced recipe."
                 }
             };
-            format!("Spearman ρ between motion and anomaly is {rho:+.2}: {meaning}")
+            format!(
+                "Spearman ρ between motion and anomaly is {}: {meaning}",
+                text::signed(Some(rho))
+            )
         }
     }
 }
 
-fn legend(judged: &Judged<'_>) -> Markup {
-    let rest = judged.groups.len().saturating_sub(COLOURS);
+fn legend(groups: &Facet<'_>) -> Markup {
+    let key = |series: usize| html! { @if let Some(mark) = marker(series) { (PreEscaped(mark)) } };
+    let rest = groups.names.len().saturating_sub(COLOURED);
     html! {
         ul.legend {
-            @for (series, (name, _)) in judged.groups.iter().take(COLOURS).enumerate() {
+            @for (series, (name, _)) in groups.names.iter().take(COLOURED).enumerate() {
                 li { (key(series)) (text::group(*name)) }
             }
-            @if rest > 0 { li { (key(COLOURS)) (text::length(rest)) " more" } }
+            @if rest > 0 { li { (key(COLOURED)) (text::length(rest)) " more" } }
         }
-    }
-}
-
-fn key(series: usize) -> Markup {
-    html! { svg viewBox="0 0 12 12" aria-hidden="true" { path class={ "s" (series) } d=(mark(series, 6.0, 6.0)) {} } }
-}
-
-/// A mark of its own per group, so that colour is not alone in telling them apart.
-fn mark(series: usize, x: f64, y: f64) -> String {
-    let r = MARK;
-    let at = |dx: f64, dy: f64| format!("{} {}", tenth(x + dx), tenth(y + dy));
-    match series {
-        0 => format!(
-            "M{}a{r} {r} 0 1 0 {} 0a{r} {r} 0 1 0 -{} 0z",
-            at(-r, 0.0),
-            2.0 * r,
-            2.0 * r
-        ),
-        1 => format!("M{}h{}v{}h-{}z", at(-r, -r), 2.0 * r, 2.0 * r, 2.0 * r),
-        2 => format!("M{}L{}L{}z", at(0.0, -r), at(r, r), at(-r, r)),
-        3 => format!(
-            "M{}L{}L{}L{}z",
-            at(0.0, -r * 1.3),
-            at(r * 1.3, 0.0),
-            at(0.0, r * 1.3),
-            at(-r * 1.3, 0.0)
-        ),
-        4 => format!("M{}L{}L{}z", at(0.0, r), at(r, -r), at(-r, -r)),
-        5 => format!("M{}h{}v{}h-{}z", at(-r, -r / 2.0), 2.0 * r, r, 2.0 * r),
-        _ => format!("M{}h{}v{}h-{}z", at(-r / 2.0, -r / 2.0), r, r, r),
     }
 }

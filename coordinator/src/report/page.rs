@@ -8,6 +8,7 @@ use sha2::{Digest, Sha256};
 
 use super::text;
 
+const COLOURS: &str = include_str!("colours.css");
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
 /// Longest title of the browser's tab.
@@ -23,12 +24,18 @@ pub(crate) struct Section {
     pub(crate) body: Option<Markup>,
 }
 
-/// The whole page, under a heading about what `title` names.
-pub(crate) fn assemble<const N: usize>(about: &str, title: &str, sections: [Section; N]) -> String {
-    // No request of any kind; the one script is allowed by its digest, not by being inline.
+/// The whole page, under a heading about what `title` names; `data` is what its script reads.
+pub(crate) fn assemble<const N: usize>(
+    about: &str,
+    title: &str,
+    sections: [Section; N],
+    data: Option<&str>,
+) -> String {
+    // Nothing from elsewhere: pictures and videos from the page's own place alone (`file:` says so where a
+    // page on a disk has no origin). The one script is allowed by its digest, not by being inline.
     let digest = STANDARD.encode(Sha256::digest(SCRIPT.as_bytes()));
     let policy = format!(
-        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+        "default-src 'none'; img-src data: 'self' file:; media-src 'self' file:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
     );
     let present: Vec<(Section, Markup)> = sections
         .into_iter()
@@ -44,7 +51,7 @@ pub(crate) fn assemble<const N: usize>(about: &str, title: &str, sections: [Sect
                 meta name="color-scheme" content="light dark";
                 meta name="referrer" content="no-referrer";
                 title { (text::plain_name(title, TAB_CHARS)) " · Plumbline" }
-                style { (PreEscaped(STYLE)) }
+                style { (PreEscaped(COLOURS)) (PreEscaped(STYLE)) }
             }
             body {
                 header.top {
@@ -64,6 +71,7 @@ pub(crate) fn assemble<const N: usize>(about: &str, title: &str, sections: [Sect
                         }
                     }
                 }
+                @if let Some(data) = data { script #data type="application/json" { (PreEscaped(data)) } }
                 script { (PreEscaped(SCRIPT)) }
             }
         }

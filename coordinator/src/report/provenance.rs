@@ -1,6 +1,9 @@
 //! Where the figures come from: version, profile, recipe, options; and what they cost.
 
+use std::collections::BTreeSet;
+
 use maud::{Markup, html};
+use plumbline_common::row::Row;
 
 use super::page::Section;
 use super::{CostSummary, ReportInput, text};
@@ -42,6 +45,7 @@ pub(super) fn section(input: &ReportInput<'_>) -> Section {
                     @if let Some(name) = &profile.name { (entry("Profile", html! { (text::name(name)) })) }
                     (entry("Profile digest", html! { code { (text::visible(&profile.digest)) } }))
                 }
+                @for models in models(input.rows) { (entry("Models", html! { code { (text::plain_name(models, 300)) } })) }
                 (entry("Recipe", html! { (recipe_name(statistics.recipe)) }))
                 (entry("Keep rule", html! { code { (text::visible(&statistics.keep)) } }))
                 (entry("Histogram", html! { (statistics.bins) " bins, " (range) }))
@@ -58,6 +62,13 @@ pub(super) fn section(input: &ReportInput<'_>) -> Section {
             }
         }),
     }
+}
+
+/// The model sets that had a part in the rows.
+fn models(rows: &[Row]) -> impl Iterator<Item = &str> {
+    let named = rows.iter().filter_map(|row| row.measured.models.as_deref());
+    let all: BTreeSet<&str> = named.collect();
+    all.into_iter().take(ENTRIES)
 }
 
 fn entry(label: &str, value: Markup) -> Markup {

@@ -1,11 +1,10 @@
 //! The two ends of the ranking: each video with its peak frame, heat map, score and series.
 
-use maud::{Markup, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::axis::Axis;
 use super::page::{Section, jpeg_address};
-use super::series::{sparkline, tenth};
-use super::{Judged, ReportInput, Scored, Thumbnails, faults, text};
+use super::{Judged, ReportInput, Scored, Thumbnails, clip, faults, text};
 
 /// Largest picture taken into the page; with 12 videos at each end and two pictures each it stays
 /// below 9 MB whatever the caller gives.
@@ -94,11 +93,15 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
         (Some(frame), Some(false)) => format!("{frame}, faint"),
         (frame, _) => text::optional(frame),
     };
+    let faulty = measured
+        .fault_frames
+        .as_ref()
+        .is_some_and(|frames| !frames.is_empty());
     html! {
         article.clip {
             (pictures(thumbnails))
             div.what {
-                h3 { (text::heading(row.video.as_str())) }
+                h3 { a.open href="#table" data-video=(text::plain_name(row.video.as_str(), super::data::TEXT_CHARS)) { (text::heading(row.video.as_str())) } }
                 p.where {
                     @if let Some(rank) = row.rank { "rank " (text::count(rank)) }
                     @if row.group.is_some() { " · " (text::group(row.group.as_deref())) }
@@ -116,6 +119,9 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
                 (fact("z acceleration", text::signed(row.z_layer_acceleration_q25)))
                 (fact("z shear", text::signed(row.z_interior_shear)))
                 (fact("z detail", text::signed(row.z_detail_change_q25)))
+                @for (name, score) in [("WorldScore 3D", measured.worldscore_3d), ("WorldScore photo.", measured.worldscore_photometric)] {
+                    @if score.is_some() { (fact(name, text::fixed(score, 1))) }
+                }
                 (fact("motion, px", text::magnitude(measured.motion_px)))
                 (fact("paper’s peak", peak))
                 @if let Some(rung) = &row.rung { (fact("measured at", text::plain_name(rung, 30))) }
@@ -125,7 +131,12 @@ fn card(input: &ReportInput<'_>, scored: &Scored<'_>, axis: Axis) -> Markup {
             @if let Some(file) = input.heat_maps.get(&row.video) {
                 p.faults { a href=(file) { "Heat map of the worst frame" } }
             }
-            (sparkline(measured))
+            @if let Some(chart) = clip::small(measured) {
+                figure.spark {
+                    (PreEscaped(chart))
+                    figcaption { span.a { "geometry e_t" } span.b { "end-point" } @if faulty { span.marks { "fault" } } span.frames { "px over frames; dark line t*" } }
+                }
+            }
         }
     }
 }
@@ -149,6 +160,11 @@ fn pictures(thumbnails: Option<Thumbnails>) -> Markup {
             }
         }
     }
+}
+
+/// A coordinate in tenths of a unit: finer than the eye, short in the file.
+fn tenth(value: f64) -> f64 {
+    (value * 10.0).round() / 10.0
 }
 
 /// The 90% interval around the score, with a mark at zero.

@@ -26,14 +26,20 @@ pub(super) fn section(rows: &[Row]) -> Section {
 }
 
 fn body(unscored: &[&Row]) -> Markup {
-    let mut counts: BTreeMap<(Status, &str), u64> = BTreeMap::new();
+    // Reasons that differ in figures alone are one; the first of them stands where it is the only one.
+    let mut counts: BTreeMap<(Status, String), (u64, &str)> = BTreeMap::new();
     for row in unscored {
-        *counts
-            .entry((row.measured.status, reason(row)))
-            .or_insert(0) += 1;
+        let alike = (row.measured.status, without_figures(reason(row)));
+        counts.entry(alike).or_insert((0, reason(row))).0 += 1;
     }
-    let mut counts: Vec<_> = counts.into_iter().collect();
-    counts.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+    let mut counts: Vec<(Status, String, u64)> = counts
+        .into_iter()
+        .map(|((status, alike), (count, first))| match count {
+            1 => (status, first.to_owned(), 1),
+            _ => (status, alike, count),
+        })
+        .collect();
+    counts.sort_by(|a, b| b.2.cmp(&a.2).then_with(|| (a.0, &a.1).cmp(&(b.0, &b.1))));
     let listed = counts.len().min(REASONS);
     html! {
         p.lead { "These " (text::length(unscored.len())) " take no part in the statistics; they are in manifests/review with their reason." }
@@ -41,7 +47,7 @@ fn body(unscored: &[&Row]) -> Markup {
             table.numbers {
                 thead { tr { th scope="col" { "Status" } th.left scope="col" { "Reason" } th scope="col" { "Videos" } } }
                 tbody {
-                    @for ((status, reason), count) in counts.iter().take(listed) {
+                    @for (status, reason, count) in counts.iter().take(listed) {
                         tr {
                             th scope="row" { (label(*status)) }
                             td.left.long { (text::plain_name(reason, 300)) }
@@ -88,6 +94,41 @@ fn reason(row: &Row) -> &str {
     }
 }
 
+/// "only 1.7% at frame 10" as "only …% at frame …".
+fn without_figures(reason: &str) -> String {
+    let mut text = String::with_capacity(reason.len());
+    let mut rest = reason;
+    while let Some(start) = rest.find(|c: char| c.is_ascii_digit()) {
+        let (before, figure) = rest.split_at(start);
+        let digits = figure.trim_start_matches(|c: char| c.is_ascii_digit());
+        // A decimal point belongs to the figure, a full stop does not.
+        let decimals = digits
+            .strip_prefix('.')
+            .filter(|after| after.starts_with(|c: char| c.is_ascii_digit()))
+            .map(|after| after.trim_start_matches(|c: char| c.is_ascii_digit()));
+        text.push_str(before);
+        text.push('…');
+        rest = decimals.unwrap_or(digits);
+    }
+    text.push_str(rest);
+    text
+}
+
 fn label(status: Status) -> String {
     status.as_str().replace('_', " ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reasons_are_alike_without_their_figures() {
+        assert_eq!(
+            without_figures("frame 103: 1.7% of 12. Longer than 4"),
+            "frame …: …% of …. Longer than …"
+        );
+        assert_eq!(without_figures("no figure"), "no figure");
+        assert_eq!(without_figures(""), "");
+    }
 }

@@ -1,80 +1,95 @@
-//! Every scored video in one table, the worst first, sortable and filterable where scripts run.
+//! Every video in one table: the page's script sorts, filters and opens its rows. Without a script the
+//! highest scores stand there.
 
 use maud::{Markup, html};
+use plumbline_common::row::Row;
 
 use super::page::Section;
-use super::{Judged, ReportInput, Scored, text};
-use crate::publish::scores::scene_name;
+use super::{ReportInput, faults, text};
 use crate::reduce::decision_name;
 
-/// Rows on the page: what a browser sorts at once and a reader still searches.
-const ROWS: usize = 2_000;
-
-/// Heading and whether the column holds numbers.
-const HEADINGS: [(&str, bool); 15] = [
-    ("Rank", true),
-    ("Video", false),
-    ("Group", false),
-    ("Decision", false),
-    ("Anomaly", true),
-    ("5%", true),
-    ("95%", true),
-    ("z reproj.", true),
-    ("z end\u{2011}pt.", true),
-    ("z piecew.", true),
-    ("z appear.", true),
-    ("Motion px", true),
-    ("Reproj. px", true),
-    ("Scene", false),
-    ("Peak", true),
+/// Rows for readers whose browser runs no scripts.
+const PLAIN_ROWS: usize = 50;
+const HEADINGS: [&str; 7] = [
+    "video",
+    "group",
+    "status",
+    "decision",
+    "anomaly",
+    "motion_px",
+    "faults",
 ];
 
-pub(super) fn section(input: &ReportInput<'_>, judged: &Judged<'_>) -> Section {
-    let total = judged.worst_first.len();
+pub(super) fn section(input: &ReportInput<'_>, listed: &[&Row]) -> Section {
+    let total = input.rows.len();
     Section {
         id: "table",
-        title: "All scored videos",
+        title: "All videos",
         body: (total > 0).then(|| {
             html! {
-                @if total > ROWS {
-                    p.lead { "The " (text::length(ROWS)) " highest anomaly scores of " (text::length(total)) "; scores.parquet has every row." }
-                }
-                label #filter hidden { "Filter " input type="search" placeholder="video, group, decision"; output {} }
-                div.scroll.tall tabindex="0" role="region" aria-label="All scored videos" {
-                    table #videos .numbers .dense {
-                        thead { tr { @for (title, number) in HEADINGS { th scope="col" .left[!number] { (title) } } } }
-                        tbody { @for scored in judged.worst_first.iter().take(ROWS) { (line(input, scored)) } }
+                @if total > listed.len() {
+                    p.lead {
+                        "The " (text::length(listed.len())) " of " (text::length(total))
+                        " videos with the highest anomaly scores, or with none; scores.parquet has every row."
                     }
                 }
+                form #filters hidden role="search" aria-label="Filter videos" {}
+                details #columns hidden { summary { "Columns" } div.choices {} }
+                p #left-out .more hidden {}
+                div #videos-region .scroll.tall tabindex="0" role="region" aria-label="All videos" {
+                    table #videos .dense {
+                        thead { tr { @for title in HEADINGS { th.left scope="col" { (title) } } } }
+                        tbody { @for row in listed.iter().take(PLAIN_ROWS) { (line(row)) } }
+                    }
+                }
+                @if listed.len() > PLAIN_ROWS {
+                    noscript { p.more { "The first " (PLAIN_ROWS) "; with scripts allowed this table holds them all, sortable and filterable." } }
+                }
+                div #pages hidden {
+                    button #before type="button" { "Previous" }
+                    output #shown aria-live="polite" {}
+                    button #after type="button" { "Next" }
+                }
+                (dialog())
             }
         }),
     }
 }
 
-fn line(input: &ReportInput<'_>, scored: &Scored<'_>) -> Markup {
-    let row = scored.row;
-    let measured = &row.measured;
+fn line(row: &Row) -> Markup {
     let decision = decision_name(row.decision);
     html! {
         tr {
-            td { (text::optional(row.rank)) }
-            td.left.long {
-                (text::name(row.video.as_str()))
-                @if let Some(file) = input.heat_maps.get(&row.video) { " " a href=(file) { "heat map" } }
-            }
+            td.left.long { (text::name(row.video.as_str())) }
             td.left.long { @if row.group.is_some() { (text::group(row.group.as_deref())) } @else { (text::MISSING) } }
+            td.left { (row.measured.status.as_str()) }
             td.left { span class={ "tag " (decision) } { (decision) } }
             td { b { (text::signed(row.anomaly)) } }
-            td { (text::signed(row.anomaly_lo)) }
-            td { (text::signed(row.anomaly_hi)) }
-            td { (text::signed(row.z_reproj_px)) }
-            td { (text::signed(row.z_aepe_worldscore_px)) }
-            td { (text::signed(row.z_piecewise_residual)) }
-            td { (text::signed(row.z_appearance_ratio)) }
-            td { (text::magnitude(measured.motion_px)) }
-            td { (text::magnitude(measured.reproj_px)) }
-            td.left { (measured.scene.map_or(text::MISSING, scene_name).replace('_', " ")) }
-            td { (text::optional(measured.paper_peak_frame)) }
+            td { (text::magnitude(row.measured.motion_px)) }
+            td.left { (faults::told(&row.measured, 3).unwrap_or_default()) }
+        }
+    }
+}
+
+/// One video opened; the script fills it.
+fn dialog() -> Markup {
+    html! {
+        dialog #video aria-labelledby="video-name" {
+            header {
+                h2 #video-name tabindex="-1" {}
+                div.buttons {
+                    button #video-before type="button" { "Previous" }
+                    button #video-after type="button" { "Next" }
+                    button #video-close type="button" { "Close" }
+                }
+            }
+            p #video-why {}
+            div #video-pictures {}
+            div #video-series {}
+            div #video-faults {}
+            h3 { "Where the score comes from" }
+            div #video-parts {}
+            details open { summary { "Every column" } dl #video-columns {} }
         }
     }
 }

@@ -7,7 +7,17 @@ use super::fixture::{corpus_of, hostile, rollouts, thumbnails};
 use super::*;
 use crate::reduce::outcome::Recipe;
 
-fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> String {
+fn page(title: &str, rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> String {
+    page_beside(title, rows, recipe, warnings, &BTreeMap::new())
+}
+
+fn page_beside(
+    title: &str,
+    mut rows: Vec<Row>,
+    recipe: Recipe,
+    warnings: &[&str],
+    beside: &BesideReport,
+) -> String {
     let mut corpus = corpus_of(&mut rows, recipe);
     corpus.statistics.warnings = warnings.iter().map(|&text| text.to_owned()).collect();
     let costs = CostSummary::of(&[CostRow {
@@ -30,6 +40,9 @@ fn page(title: &str, mut rows: Vec<Row>, recipe: Recipe, warnings: &[&str]) -> S
         rows: &rows,
         thumbnails: &thumbnails,
         heat_maps: &BTreeMap::new(),
+        beside,
+        player: &|_| None,
+        reference: None,
         costs: Some(costs),
         options: &[("--group-by".to_owned(), "path:1".to_owned())],
         ranked: DEFAULT_RANKED,
@@ -68,14 +81,12 @@ fn pages_to_look_at() {
             &["<b>w</b>"],
         ),
     );
+    let rows = rollouts(5_000, 40);
+    let out = crate::publish::OutDir::create(&folder).unwrap();
+    let (beside, _) = beside::write(&out, &rows, &thumbnails).unwrap();
     put(
         "large.html",
-        page(
-            "s3://rollouts/all",
-            rollouts(10_000, 40),
-            Recipe::Balanced,
-            &[],
-        ),
+        page_beside("s3://rollouts/all", rows, Recipe::Balanced, &[], &beside),
     );
     put(
         "single.html",
@@ -104,6 +115,7 @@ fn every_section_is_there_and_equal_input_gives_equal_bytes() {
     for id in [
         "overview",
         "worst",
+        "spread",
         "groups",
         "motion",
         "measures",
@@ -153,8 +165,9 @@ fn hostile_names_are_only_text() {
         Recipe::Paper,
         &["<b>bold</b>"],
     );
-    // The page's own script and style, and no other.
-    assert_eq!(html.matches("<script").count(), 1);
+    // The page's own data, script and style, and no other.
+    assert_eq!(html.matches("<script").count(), 2);
+    assert_eq!(html.matches("</script").count(), 2);
     assert_eq!(html.matches("<style").count(), 1);
     assert!(!html.contains("<img src=x") && !html.contains("<b>bold"));
     assert!(html.contains("&lt;script&gt;document.title"));
@@ -186,7 +199,7 @@ fn asks_for_nothing_from_outside() {
 fn ten_thousand_rows_stay_below_ten_megabytes() {
     let html = page("large", rollouts(10_000, 40), Recipe::Paper, &[]);
     assert!(html.len() < 10_000_000, "{} bytes", html.len());
-    assert!(html.contains("The 2,000 highest anomaly scores of 9,"));
+    assert!(html.contains("The 5,000 of 10,000 videos with the highest anomaly scores"));
     assert!(html.contains("The 24 largest of 40 groups"));
 }
 
@@ -199,6 +212,9 @@ fn a_picture_that_is_too_large_is_left_out() {
         corpus: &corpus,
         rows: &rows,
         heat_maps: &BTreeMap::new(),
+        beside: &BTreeMap::new(),
+        player: &|_| None,
+        reference: None,
         thumbnails: &|_| {
             Some(Thumbnails {
                 frame_jpeg: vec![0; 10 << 20],

@@ -32,7 +32,10 @@ pub(crate) fn magnitude(value: Option<f64>) -> String {
         |value| match value.abs() {
             0.0 => "0".to_owned(),
             size if !(0.001..1e6).contains(&size) => format!("{value:.2e}"),
-            size if size < 1.0 => format!("{value:.3}"),
+            size if size < 1.0 => {
+                let decimals = (2.0 - libm::floor(libm::log10(size))) as usize;
+                format!("{value:.decimals$}")
+            }
             size if size < 100.0 => format!("{value:.2}"),
             _ => format!("{value:.0}"),
         },
@@ -178,7 +181,9 @@ mod tests {
         assert_eq!(signed(Some(-0.001)), "+0.00");
         assert_eq!(signed(Some(f64::NAN)), MISSING);
         assert_eq!(signed(Some(1e300)), "+1.00e300");
-        assert_eq!(magnitude(Some(0.01234)), "0.012");
+        assert_eq!(magnitude(Some(0.01234)), "0.0123");
+        assert_eq!(magnitude(Some(-0.5)), "-0.500");
+        assert_eq!(magnitude(Some(0.001)), "0.00100");
         assert_eq!(magnitude(Some(12.345)), "12.35");
         assert_eq!(magnitude(Some(1234.5)), "1234");
         assert_eq!(magnitude(None), MISSING);

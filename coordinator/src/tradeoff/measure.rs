@@ -53,6 +53,7 @@ pub(super) async fn measure(
         cascade: None,
         fleet: None,
         metrics: Metrics::default(),
+        command: String::new(),
     };
     let path = place.root().join("journal");
     let journal = Journal::open(&path, run.resume, entries, &run.reduce.profile_digest)?;

@@ -3,21 +3,15 @@
 //! Styled and guarded as the report is (`report/page.rs`): self-contained, no request, light and dark, all
 //! text escaped.
 
-use maud::{Markup, html};
-use plumbline_worker::explain::scatter::{Mark, ScatterPanel};
+use maud::{Markup, PreEscaped, html};
+use plumbline_worker::explain::scatter::ScatterPanel;
 
 use super::picture::{COST_TITLE, panels};
 use super::{PointResult, Tradeoff, table};
 use crate::reduce::recipe::Signal;
-use crate::report::axis::Axis;
+use crate::report::chart::fronts as fronts_of;
 use crate::report::page::{self, Section};
 use crate::report::text;
-
-/// Drawing units.
-const WIDTH: f64 = 520.0;
-const HEIGHT: f64 = 300.0;
-/// Radius of a mark.
-const RADIUS: f64 = 5.0;
 
 /// The page.
 pub(super) fn render(found: &Tradeoff) -> String {
@@ -30,7 +24,7 @@ pub(super) fn render(found: &Tradeoff) -> String {
         faults(found),
         provenance(found),
     ];
-    page::assemble("What each second buys on", &title, sections)
+    page::assemble("What each second buys on", &title, sections, None)
 }
 
 fn answer(found: &Tradeoff) -> Section {
@@ -96,65 +90,30 @@ fn fronts(found: &Tradeoff) -> Section {
     }
 }
 
+/// A panel's drawing, and its points as numbers for those who do not see it.
 fn plot(panel: &ScatterPanel) -> Markup {
-    let spanning = |values: Vec<f64>| {
-        let lo = values.iter().copied().fold(f64::INFINITY, f64::min);
-        let hi = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        Axis::spanning(lo, hi)
-    };
-    let x = spanning(panel.marks.iter().map(|mark| mark.x).collect()).padded(0.14);
-    let y = spanning(panel.marks.iter().map(|mark| mark.y).collect()).padded(0.16);
-    let across = |mark: &Mark| x.position(mark.x) * WIDTH;
-    let up = |mark: &Mark| HEIGHT - y.position(mark.y) * HEIGHT;
-    let ticks = || panel.ticks.iter().filter(|(place, _)| x.holds(*place));
-    let line: String = panel
-        .marks
-        .iter()
-        .filter(|mark| mark.on_front)
-        .enumerate()
-        .map(|(k, mark)| {
-            let command = if k == 0 { 'M' } else { 'L' };
-            format!("{command}{:.1} {:.1}", across(mark), up(mark))
-        })
-        .collect();
     html! {
         figure.panel.scatter {
-            figcaption { span.name title=(panel.title) { (panel.title) } }
-            div.plot {
-                div.yticks aria-hidden="true" {
-                    @for (value, label) in y.ticks(5) {
-                        span style={ "top:" (percent(1.0 - y.position(value))) } { (label) }
-                    }
-                }
-                svg viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img" aria-label={ (panel.title) " over " (COST_TITLE) } {
-                    @for (value, _) in y.ticks(5) {
-                        path.grid d=(format!("M0 {:.1}H{WIDTH}", HEIGHT - y.position(value) * HEIGHT)) {}
-                    }
-                    @for (place, _) in ticks() {
-                        path.grid d=(format!("M{:.1} 0V{HEIGHT}", x.position(*place) * WIDTH)) {}
-                    }
-                    path.front d=(line) {}
-                    @for (k, mark) in panel.marks.iter().enumerate() {
-                        circle .on[mark.on_front] cx=(format!("{:.1}", across(mark))) cy=(format!("{:.1}", up(mark))) r=(RADIUS) {
-                            title { (mark.name) ": " (text::magnitude(Some(libm::pow(10.0, mark.x)))) " s, " (text::magnitude(Some(mark.y))) }
-                        }
-                        text .on[mark.on_front] x=(format!("{:.1}", across(mark)))
-                            y=(format!("{:.1}", up(mark) + if k % 2 == 0 { -10.0 } else { 20.0 })) { (mark.name) }
-                    }
-                }
-                div.ticks aria-hidden="true" {
-                    @for (place, label) in ticks() {
-                        span style={ "left:" (percent(x.position(*place))) } { (label) }
-                    }
-                }
+            @if let Some(chart) = fronts_of(panel, COST_TITLE) { (PreEscaped(chart)) }
+            details.numbers {
+                summary { "Numbers" }
+                div.scroll tabindex="0" role="region" aria-label=(panel.title) { table {
+                    thead { tr {
+                        th scope="col" { "point" }
+                        th scope="col" { "CPU s" }
+                        th scope="col" { "value" }
+                        th scope="col" { "front" }
+                    } }
+                    tbody { @for mark in &panel.marks { tr {
+                        th scope="row" { (mark.name) }
+                        td { (text::magnitude(Some(libm::pow(10.0, mark.x)))) }
+                        td { (text::magnitude(Some(mark.y))) }
+                        td { @if mark.on_front { "yes" } }
+                    } } }
+                } }
             }
-            figcaption { "Across: " (COST_TITLE) "." }
         }
     }
-}
-
-fn percent(share: f64) -> String {
-    format!("{:.1}%", 100.0 * share)
 }
 
 fn points(found: &Tradeoff) -> Section {

@@ -20,7 +20,7 @@ pub(super) const MUTED: [u8; 3] = [160, 160, 172];
 pub(super) const MARK: [u8; 3] = [72, 224, 255];
 
 /// The name under which the built-in font is known to the drawing library.
-pub(super) const FONT: &str = "sans-serif";
+pub const FONT: &str = "sans-serif";
 /// Height of text, px.
 pub(super) const TEXT_PX: u32 = 17;
 /// Height of small text, px.
@@ -32,17 +32,28 @@ const MAX_FRAME_PX: (usize, usize) = (768, 432);
 /// The drawing library failed.
 #[derive(Debug, thiserror::Error)]
 #[error("a picture cannot be drawn: {0}")]
-pub struct DrawError(pub(super) String);
+pub struct DrawError(String);
 
-/// Makes the built-in font known, once.
-pub(super) fn load_font() -> Result<(), DrawError> {
+impl DrawError {
+    /// For the reason that the library gave.
+    #[must_use]
+    pub fn new(reason: impl std::fmt::Display) -> Self {
+        Self(reason.to_string())
+    }
+}
+
+/// Makes the built-in font known to the drawing library, once.
+///
+/// # Errors
+/// [`DrawError`], when it does not load.
+pub fn load_font() -> Result<(), DrawError> {
     static LOADED: OnceLock<bool> = OnceLock::new();
     let loaded = *LOADED
         .get_or_init(|| register_font(FONT, FontStyle::Normal, dejavu::sans::regular()).is_ok());
     if loaded {
         Ok(())
     } else {
-        Err(DrawError("the built-in font does not load".to_owned()))
+        Err(DrawError::new("the built-in font does not load"))
     }
 }
 
@@ -129,7 +140,7 @@ impl Canvas {
             .pos(Pos::new(horizontal, VPos::Top));
         area.draw(&Text::new(text.to_owned(), (x as i32, y as i32), style))
             .and_then(|()| area.present())
-            .map_err(|error| DrawError(error.to_string()))
+            .map_err(DrawError::new)
     }
 }
 

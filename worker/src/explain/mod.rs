@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::decode::DecodedFrame;
 use crate::measure::{MeasureError, Models, View, measure_in_detail};
 use crate::profile::Profile;
-pub use canvas::DrawError;
+pub use canvas::{DrawError, FONT, load_font};
 
 /// What a heat map shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -198,5 +198,5 @@ fn head(area: &DrawingArea<BitMapBackend<'_>, Shift>, panel: &Panel) -> Result<(
 }
 
 pub(super) fn failed(error: impl std::fmt::Display) -> DrawError {
-    DrawError(error.to_string())
+    DrawError::new(error)
 }

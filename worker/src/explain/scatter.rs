@@ -1,7 +1,7 @@
 //! Points over a shared axis, panel by panel, with the front of each. The axis is whatever scale the caller
 //! has chosen: places come with the marks, and ticks with their labels.
 
-use plotters::backend::BitMapBackend;
+use plotters::backend::{BitMapBackend, DrawingBackend};
 use plotters::chart::ChartBuilder;
 use plotters::coord::Shift;
 use plotters::drawing::{DrawingArea, IntoDrawingArea};
@@ -19,10 +19,26 @@ const PANEL_PX: (u32, u32) = (620, 420);
 const TITLE_PX: u32 = 44;
 const LABELS_PX: u32 = 64;
 
-const INK: RGBColor = RGBColor(34, 34, 40);
-const QUIET: RGBColor = RGBColor(120, 124, 132);
-const FAINT: RGBColor = RGBColor(225, 225, 230);
-const FRONT: RGBColor = RGBColor(0, 114, 178);
+/// Colours of a panel.
+#[derive(Debug, Clone, Copy)]
+pub struct Palette {
+    /// Words and axes.
+    pub ink: RGBColor,
+    /// Points off the front.
+    pub quiet: RGBColor,
+    /// Lines behind the points.
+    pub faint: RGBColor,
+    /// The front and its points.
+    pub front: RGBColor,
+}
+
+/// On white.
+const PAPER: Palette = Palette {
+    ink: RGBColor(34, 34, 40),
+    quiet: RGBColor(120, 124, 132),
+    faint: RGBColor(225, 225, 230),
+    front: RGBColor(0, 114, 178),
+};
 
 /// A point.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,12 +75,12 @@ pub fn scatter(title: &str, x_title: &str, panels: &[ScatterPanel]) -> Result<Rg
     let mut data = vec![255; (width * height * 3) as usize];
     {
         let area = BitMapBackend::with_buffer(&mut data, (width, height)).into_drawing_area();
-        let style = (FONT, TEXT_PX).into_font().color(&INK);
+        let style = (FONT, TEXT_PX).into_font().color(&PAPER.ink);
         area.draw(&Text::new(title.to_owned(), (16, 14), style))
             .map_err(failed)?;
         let (_, body) = area.split_vertically(TITLE_PX);
         for (panel, area) in panels.iter().zip(body.split_evenly((rows, 2))) {
-            draw_panel(&area, panel, x_title)?;
+            draw_panel(&area, panel, x_title, &PAPER)?;
         }
         area.present().map_err(failed)?;
     }
@@ -86,11 +102,20 @@ fn span(values: impl Iterator<Item = f64> + Clone, share: f64) -> (f64, f64) {
     (lo - pad, hi + pad)
 }
 
-fn draw_panel(
-    area: &DrawingArea<BitMapBackend<'_>, Shift>,
+/// Draws one panel on an area of any kind, whose fonts are loaded.
+///
+/// # Errors
+/// [`DrawError`], when the drawing library fails.
+pub fn draw_panel<B>(
+    area: &DrawingArea<B, Shift>,
     panel: &ScatterPanel,
     x_title: &str,
-) -> Result<(), DrawError> {
+    palette: &Palette,
+) -> Result<(), DrawError>
+where
+    B: DrawingBackend,
+    B::ErrorType: 'static,
+{
     if panel.marks.is_empty() {
         return Ok(());
     }
@@ -98,7 +123,10 @@ fn draw_panel(
     let (bottom, top) = span(panel.marks.iter().map(|mark| mark.y), 0.15);
     let mut chart = ChartBuilder::on(area)
         .margin(12)
-        .caption(panel.title.clone(), (FONT, TEXT_PX).into_font().color(&INK))
+        .caption(
+            panel.title.clone(),
+            (FONT, TEXT_PX).into_font().color(&palette.ink),
+        )
         .x_label_area_size(44)
         .y_label_area_size(LABELS_PX)
         .build_cartesian_2d(lo..hi, bottom..top)
@@ -110,23 +138,23 @@ fn draw_panel(
     };
     chart
         .configure_mesh()
-        .light_line_style(FAINT.mix(0.0))
-        .bold_line_style(FAINT)
-        .axis_style(INK.mix(0.5))
+        .light_line_style(palette.faint.mix(0.0))
+        .bold_line_style(palette.faint)
+        .axis_style(palette.ink.mix(0.5))
         .disable_x_mesh()
         .x_labels(0)
         .y_labels(6)
         .x_desc(x_title)
         .y_label_formatter(&|y| format!("{y:.decimals$}"))
-        .label_style((FONT, SMALL_PX).into_font().color(&INK))
+        .label_style((FONT, SMALL_PX).into_font().color(&palette.ink))
         .draw()
         .map_err(failed)?;
     for (x, label) in panel.ticks.iter().filter(|(x, _)| lo < *x && *x < hi) {
-        let line = PathElement::new([(*x, bottom), (*x, top)], FAINT);
+        let line = PathElement::new([(*x, bottom), (*x, top)], palette.faint);
         chart.draw_series([line]).map_err(failed)?;
         let style = (FONT, SMALL_PX)
             .into_font()
-            .color(&INK)
+            .color(&palette.ink)
             .pos(Pos::new(HPos::Center, VPos::Top));
         let name = Text::new(label.clone(), (0, 6), style);
         let placed = EmptyElement::at((*x, bottom)) + name;
@@ -136,10 +164,16 @@ fn draw_panel(
     chart
         .draw_series(LineSeries::new(
             front.map(|mark| (mark.x, mark.y)),
-            FRONT.stroke_width(2),
+            palette.front.stroke_width(2),
         ))
         .map_err(failed)?;
-    let colour = |mark: &Mark| if mark.on_front { FRONT } else { QUIET };
+    let colour = |mark: &Mark| {
+        if mark.on_front {
+            palette.front
+        } else {
+            palette.quiet
+        }
+    };
     let dots = panel
         .marks
         .iter()
@@ -205,8 +239,12 @@ mod tests {
             picture.data.chunks(3).filter(|p| *p == wanted).count()
         };
         // A filled circle of radius 5 has about 80 pixels.
-        assert!(pixels(FRONT) > 3 * 60, "{}", pixels(FRONT));
-        assert!((60..400).contains(&pixels(QUIET)), "{}", pixels(QUIET));
+        assert!(pixels(PAPER.front) > 3 * 60, "{}", pixels(PAPER.front));
+        assert!(
+            (60..400).contains(&pixels(PAPER.quiet)),
+            "{}",
+            pixels(PAPER.quiet)
+        );
         assert_eq!(picture, scatter("title", "cost", &panels).unwrap());
     }
 }
