@@ -2,7 +2,7 @@
 # What the profile `reference` costs by stage, what reductions of its effort save and change, whether two runs
 # give the same rows, and how much memory a clip of 100 keyframes takes. Full width, random weights (so that
 # scores mean nothing, but every number of work is the real one). Writes a dated table to
-# tests/benches/results/. Every frame takes a minute or two per core and variant: give clips of some ten frames.
+# tests/benches/results/. Every frame takes up to a minute per core and variant: give clips of some ten frames.
 #
 #   reference_effort.sh clips SOURCE [VARIANT...]   reference twice, then the variants (default: all)
 #   reference_effort.sh memory                      one clip of 100 keyframes with as many edges as there can be
