@@ -66,7 +66,7 @@ fn takes(profile: &Profile) -> Vec<String> {
     }
     if let Some(droid) = &profile.droid {
         lines.push(format!(
-            "takes a minute or two per frame and core, tens of minutes per clip, and up to 4 GiB for a clip of {} frames; longer ones are over_limit",
+            "takes half a minute to a minute per frame and core, tens of minutes per clip, and up to 4 GiB for a clip of {} frames; longer ones are over_limit",
             droid.most_frames
         ));
     }

@@ -60,7 +60,7 @@ impl Default for ComputeLimits {
     fn default() -> Self {
         Self {
             deadline_s: 600.0,
-            // `reference` takes a minute or two for each frame.
+            // `reference` takes up to a minute for each frame.
             learned_deadline_s: 14_400.0,
             memory_mib: 4096,
         }

@@ -40,19 +40,21 @@ pub struct Loaded {
     droid: Option<(String, DroidNetworks)>,
 }
 
-struct LoadedSeaRaft {
+/// SEA-RAFT as a child keeps it.
+pub struct LoadedSeaRaft {
     digest: String,
-    network: SeaRaft,
+    /// Set up as the profile of the clip wants it.
+    pub network: SeaRaft,
     /// Of the weights' size.
     iterations: usize,
 }
 
-/// What one clip is measured with.
+/// What one clip is measured with: taken and put back; what is not put back is loaded anew for the next clip.
 #[derive(Default)]
 pub struct Networks<'a> {
     /// Flow.
-    pub sea_raft: Option<&'a mut SeaRaft>,
-    /// Taken for the clip and put back after it; whoever does not leaves them to be loaded anew.
+    pub sea_raft: Option<&'a mut Option<LoadedSeaRaft>>,
+    /// Tracking.
     pub droid: Option<&'a mut Option<(String, DroidNetworks)>>,
 }
 
@@ -87,12 +89,13 @@ impl Loaded {
                     }
                 }
             };
-            let kept = self.sea_raft.insert(kept);
+            let home = &mut self.sea_raft;
+            let kept = home.insert(kept);
             let params = kept.network.params_mut();
             params.half_resolution = used.half_resolution;
             params.iterations = used.iterations.map_or(kept.iterations, |n| n as usize);
             params.stop_below_px = used.stop_below_px.map(|px| px as f32);
-            networks.sea_raft = Some(&mut kept.network);
+            networks.sea_raft = Some(home);
         }
         if let Some(used) = &profile.droid {
             let digest = used.model.as_deref().ok_or(LoadError::NoPlaces)?;

@@ -11,7 +11,7 @@ mod runtime;
 mod session;
 mod source;
 
-pub use loaded::{LoadError, Loaded, Networks};
+pub use loaded::{LoadError, Loaded, LoadedSeaRaft, Networks};
 pub use model_set::{ModelError, ModelSet};
 pub use runtime::{Runtime, RuntimeError};
 pub use session::{OrtNetwork, Threads};

@@ -18,7 +18,7 @@ use plumbline_vision::slam::camera::Grid;
 use plumbline_vision::slam::reference::ReferenceTracker;
 
 use super::clip::{ClipError, at};
-use crate::learned::Networks;
+use crate::learned::{LoadedSeaRaft, Networks};
 use crate::profile::{DroidUse, Profile, SeaRaftRole};
 
 /// Side of a cell, px of the tracked picture.
@@ -71,7 +71,9 @@ pub(super) struct LearnedWork {
 }
 
 struct Photometric<'a> {
-    sea_raft: &'a mut SeaRaft,
+    sea_raft: LoadedSeaRaft,
+    /// Where it comes from.
+    home: &'a mut Option<LoadedSeaRaft>,
     last: Option<SeaRaftFrame>,
     pairs: Vec<(u32, f64)>,
     spent: Duration,
@@ -96,16 +98,20 @@ impl<'a> LearnedMeasures<'a> {
     ) -> (Self, Option<&'a mut SeaRaft>) {
         let role = profile.sea_raft.as_ref().map(|used| used.role);
         let (photometric, flow) = match (networks.sea_raft, role) {
-            (Some(sea_raft), Some(SeaRaftRole::Photometric)) => (
-                Some(Photometric {
+            (Some(home), Some(SeaRaftRole::Photometric)) => (
+                home.take().map(|sea_raft| Photometric {
                     sea_raft,
+                    home,
                     last: None,
                     pairs: Vec::new(),
                     spent: Duration::ZERO,
                 }),
                 None,
             ),
-            (sea_raft, _) => (None, sea_raft),
+            (home, _) => (
+                None,
+                home.and_then(|home| home.as_mut().map(|kept| &mut kept.network)),
+            ),
         };
         let tracking = profile.droid.as_ref().zip(networks.droid);
         let tracking = tracking.map(|(used, home)| Tracking {
@@ -140,6 +146,10 @@ impl<'a> LearnedMeasures<'a> {
         if let Some(photometric) = self.photometric {
             found.work.photometric = photometric.spent;
             found.end_point_px = Some(photometric.pairs);
+            // Tracking's global run takes more memory than all before it: SEA-RAFT's is given back first.
+            if self.tracking.is_none() {
+                *photometric.home = Some(photometric.sea_raft);
+            }
         }
         let mut problem = None;
         if let Some(tracking) = self.tracking
@@ -155,10 +165,10 @@ impl Photometric<'_> {
     fn push(&mut self, frame: u32, picture: &Rgb8) -> Result<(), ClipError> {
         let started = Instant::now();
         let error = learned_error("photometric consistency", frame);
-        let next = self.sea_raft.prepare(picture).map_err(&error)?;
+        let next = self.sea_raft.network.prepare(picture).map_err(&error)?;
         if let Some(last) = &self.last {
-            let forward = self.sea_raft.flow(last, &next).map_err(&error)?;
-            let backward = self.sea_raft.flow(&next, last).map_err(&error)?;
+            let forward = self.sea_raft.network.flow(last, &next).map_err(&error)?;
+            let backward = self.sea_raft.network.flow(&next, last).map_err(&error)?;
             let measured = worldscore_epe(&forward.flow, &backward.flow)
                 .map_err(at("photometric consistency", frame))?;
             self.pairs.extend(measured.average_px.map(|px| (frame, px)));
