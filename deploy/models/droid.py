@@ -166,19 +166,15 @@ def aggregate(weights):
     net = g.input("net", [EDGES, HIDDEN, ROWS, COLUMNS])
     # averages[s, e] = 1 / (edges of source s) where e is one of them, else 0.
     averages = g.input("averages", [SOURCES, EDGES])
-    tiles = Tiles(g, net)
-
-    def conv(x, key):
-        return g.relu(tiles.conv_plain(x, key, *g.kernel(key, HIDDEN, HIDDEN)))
-
-    a = conv(net, "update.agg.conv1")
+    # All edges of a source at once, some 16: tiles would be quicker, but take half a gigabyte.
+    a = g.relu(g.conv(net, "update.agg.conv1", HIDDEN, HIDDEN, 3))
     flat = g.node("Flatten", [a], axis=1)
     mean = g.node("MatMul", [averages, flat])
     # One source per row, in the shape of a feature map again.
     size = g.node("Shape", [a], start=1)
     leading = g.constant("minus_one", np.array([-1], np.int64))
     a = g.node("Reshape", [mean, g.node("Concat", [leading, size], axis=0)])
-    a = conv(a, "update.agg.conv2")
+    a = g.relu(g.conv(a, "update.agg.conv2", HIDDEN, HIDDEN, 3))
     g.output("aggregate", a, [SOURCES, HIDDEN, ROWS, COLUMNS])
     eta = g.node("Softplus", [g.conv(a, "update.agg.eta.0", HIDDEN, 1, 3)])
     scale = g.constant("hundredth", np.array(0.01, np.float32))
