@@ -10,6 +10,8 @@
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
 
 use plumbline_sample::SampleError;
 use plumbline_sample::corpus::ClipSpec;
@@ -97,11 +99,39 @@ impl SampleDir {
         self.root.join("truth")
     }
 
-    /// Renders and writes one clip and its truth.
+    /// Renders and writes clips and their truth, one on each core at a time; `on_written` is told of each.
     ///
     /// # Errors
-    /// [`WriteSampleError`].
-    pub fn write_clip(&self, clip: &ClipSpec, truth: Truth) -> Result<(), WriteSampleError> {
+    /// The first [`WriteSampleError`]; clips that were begun are written still.
+    pub fn write_clips(
+        &self,
+        clips: &[ClipSpec],
+        truth: Truth,
+        mut on_written: impl FnMut(),
+    ) -> Result<(), WriteSampleError> {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let next = AtomicUsize::new(0);
+        let (told, results) = mpsc::channel();
+        std::thread::scope(|scope| {
+            for _ in 0..cores.min(clips.len()) {
+                let (told, next) = (told.clone(), &next);
+                scope.spawn(move || {
+                    while let Some(clip) = clips.get(next.fetch_add(1, Ordering::Relaxed))
+                        && told.send(self.write_clip(clip, truth)).is_ok()
+                    {}
+                });
+            }
+            drop(told);
+            // Nobody listens after the first error, which ends the threads.
+            results.into_iter().try_for_each(|result| {
+                result?;
+                on_written();
+                Ok(())
+            })
+        })
+    }
+
+    fn write_clip(&self, clip: &ClipSpec, truth: Truth) -> Result<(), WriteSampleError> {
         let video = self.videos().join(format!("{}.mp4", clip.name));
         write_video(clip, &video)?;
         let path = self.truth().join(format!("{}.npz", clip.name));

@@ -57,7 +57,9 @@ pub enum QueueError {
         source: Source,
     },
     /// The broker says no, and will again.
-    #[error("{broker} refuses: {source}; check the user's permissions and the virtual host")]
+    #[error(
+        "{broker} refuses: {source}; check user and password, the user's permissions, and the virtual host"
+    )]
     Refused {
         /// The broker, without credentials.
         broker: String,

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use bytes::Bytes;
 use futures_util::{Stream, TryStreamExt, stream};
+use tokio::fs::File;
 use tokio::io::{AsyncSeekExt, AsyncWriteExt};
 
 use super::{ObjectMeta, ObjectStore, StoreError};
@@ -58,13 +59,8 @@ pub async fn fetch_range_to_file(
     file: &Path,
 ) -> Result<(), StoreError> {
     check_size(store, meta, range.end - range.start, max_bytes)?;
-    let not_written = |source: std::io::Error| StoreError::LocalFile {
-        file: file.display().to_string(),
-        source,
-    };
-    let mut out = tokio::fs::File::create_new(file)
-        .await
-        .map_err(not_written)?;
+    let not_written = not_written(file);
+    let mut out = create(file).await?;
     let mut ranges = std::pin::pin!(ranges(store, meta, range));
     while let Some(range) = ranges.try_next().await? {
         out.write_all(&range).await.map_err(not_written)?;
@@ -84,13 +80,8 @@ pub async fn fetch_ends_to_file(
     end_bytes: u64,
     file: &Path,
 ) -> Result<(), StoreError> {
-    let not_written = |source: std::io::Error| StoreError::LocalFile {
-        file: file.display().to_string(),
-        source,
-    };
-    let mut out = tokio::fs::File::create_new(file)
-        .await
-        .map_err(not_written)?;
+    let not_written = not_written(file);
+    let mut out = create(file).await?;
     let bytes = range.end - range.start;
     out.set_len(bytes).await.map_err(not_written)?;
     let head = 0..end_bytes.min(bytes);
@@ -103,6 +94,17 @@ pub async fn fetch_ends_to_file(
         out.write_all(&read).await.map_err(not_written)?;
     }
     out.flush().await.map_err(not_written)
+}
+
+async fn create(file: &Path) -> Result<File, StoreError> {
+    File::create_new(file).await.map_err(not_written(file))
+}
+
+fn not_written(file: &Path) -> impl Fn(std::io::Error) -> StoreError + Copy {
+    |source| StoreError::LocalFile {
+        file: file.display().to_string(),
+        source,
+    }
 }
 
 fn check_size(

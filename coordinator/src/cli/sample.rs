@@ -38,11 +38,9 @@ pub(super) fn run(args: &SampleArgs) -> Result<u8, Failure> {
         false => sample_corpus(args.seed),
     };
     let mut progress = Progress::start(clips.len() as u64, 0);
-    for clip in &clips {
-        sample.write_clip(clip, truth).map_err(Failure::stopped)?;
-        progress.advance(true);
-    }
+    let written = sample.write_clips(&clips, truth, || progress.advance(true));
     progress.finish();
+    written.map_err(Failure::stopped)?;
     sample.write_labels(&clips).map_err(Failure::stopped)?;
     say(&format!(
         "{} clips in {}; their faults are in {}",

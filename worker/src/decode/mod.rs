@@ -7,7 +7,7 @@
 //! compute child that calls this.
 //!
 //! Files: [`mod@sniff`] (container by magic bytes), `structure` (does the file hold what its headers promise),
-//! `ffi` (all unsafe code), [`video`] (the decoding loop), `interval` (an episode of a longer video), `timeline`
+//! `sample_tables` (do they promise more than it can hold), `ffi` (all unsafe code), [`video`] (the decoding loop), `interval` (an episode of a longer video), `timeline`
 //! (presentation times), `convert` and
 //! `orient` (pixels), `header` (length and size without decoding), [`images`] (numbered images).
 
@@ -18,6 +18,7 @@ mod header;
 pub mod images;
 mod interval;
 mod orient;
+mod sample_tables;
 pub mod sniff;
 mod structure;
 #[cfg(test)]

@@ -13,9 +13,6 @@ pub(super) struct Structure {
     pub(super) is_cut: bool,
     /// ISO base media without its whole index (`moov`), so that nothing can be decoded.
     pub(super) lacks_index: bool,
-    /// ISO base media whose tables claim more samples than the file has bytes: FFmpeg would reserve memory for
-    /// each of them before it sees that they are not there.
-    pub(super) overstates_samples: bool,
     /// AVI whose writer could not seek back: its counts and lengths are placeholders.
     pub(super) has_placeholders: bool,
     /// Pictures counted, where walking gives it (GIF).
@@ -80,8 +77,6 @@ fn iso_boxes(bytes: &[u8]) -> Structure {
             Some(end) => {
                 // A cut index counts as none: its sample tables would end early without a word.
                 structure.lacks_index &= &header[4..] != b"moov";
-                structure.overstates_samples |=
-                    iso_samples(&bytes[at..end], ISO_DEPTH) > bytes.len() as u64;
                 at = end;
             }
             None => {
@@ -91,36 +86,6 @@ fn iso_boxes(bytes: &[u8]) -> Structure {
         }
     }
     structure
-}
-
-/// Boxes within boxes down to a track's tables: `moov`, `trak`, `mdia`, `minf`, `stbl`.
-const ISO_DEPTH: usize = 5;
-
-/// The most samples that one table in these boxes claims (`stsz` of a track, `trun` of a fragment). Boxes that are
-/// not understood, or nested deeper than `depth`, claim nothing.
-fn iso_samples(mut boxes: &[u8], depth: usize) -> u64 {
-    let mut most = 0;
-    while let Some(header) = boxes.get(..8) {
-        let Some(body) = usize::try_from(big_endian(&header[..4]))
-            .ok()
-            .and_then(|size| boxes.get(8..size))
-        else {
-            break;
-        };
-        let claimed = match &header[4..] {
-            b"moov" | b"trak" | b"mdia" | b"minf" | b"stbl" | b"moof" | b"traf" if depth > 0 => {
-                iso_samples(body, depth - 1)
-            }
-            // Version and flags, the size of all samples, their number.
-            b"stsz" => body.get(8..12).map_or(0, big_endian),
-            // Version and flags, the number of samples.
-            b"trun" => body.get(4..8).map_or(0, big_endian),
-            _ => 0,
-        };
-        most = most.max(claimed);
-        boxes = &boxes[8 + body.len()..];
-    }
-    most
 }
 
 /// An EBML size at the start of `bytes`: its value (none when declared unknown) and its length.

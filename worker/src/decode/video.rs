@@ -27,6 +27,7 @@ use super::convert::{self, ConvertError, Converter};
 use super::ffi::{self, StreamHeader};
 use super::interval::{self, Place, Window};
 use super::orient::Orientation;
+use super::sample_tables;
 use super::structure::{self, Structure};
 use super::timeline::Timeline;
 use super::{Container, DecodeError, DecodeLimits, DecodedFrame, Interval, VideoInfo, sniff};
@@ -91,6 +92,10 @@ impl Container {
     }
 }
 
+fn unread(error: std::io::Error) -> DecodeError {
+    DecodeError::undecodable(format!("the file does not read ({error}); copy it again"))
+}
+
 /// An open container and its chosen picture track.
 pub(super) struct Source {
     input: Input,
@@ -110,9 +115,6 @@ impl Source {
         mut file: impl Read + Seek + Send + 'static,
     ) -> Result<Self, DecodeError> {
         let mut head = Vec::new();
-        let unread = |error: std::io::Error| {
-            DecodeError::undecodable(format!("the file does not read ({error}); copy it again"))
-        };
         let mut few = (&mut file).take(sniff::SNIFF_BYTES as u64);
         few.read_to_end(&mut head).map_err(unread)?;
         file.rewind().map_err(unread)?;
@@ -121,7 +123,7 @@ impl Source {
     }
 
     fn open(
-        bytes: impl Read + Seek + Send + 'static,
+        mut bytes: impl Read + Seek + Send + 'static,
         container: Container,
         structure: Structure,
     ) -> Result<Self, DecodeError> {
@@ -130,7 +132,9 @@ impl Source {
                 "the index (moov box) is missing or cut: the recording or the copy stopped early; re-copy the file",
             ));
         }
-        if structure.overstates_samples {
+        if container == Container::Mp4
+            && sample_tables::are_overstated(&mut bytes).map_err(unread)?
+        {
             return Err(DecodeError::undecodable(
                 "its tables claim more pictures than the file has bytes: damaged; re-copy the file",
             ));

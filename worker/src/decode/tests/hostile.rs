@@ -3,7 +3,8 @@
 use std::io::{Cursor, ErrorKind};
 use std::net::TcpListener;
 
-use super::super::{DecodeError, ffi};
+use super::super::{DecodeError, DecodeLimits, ffi, video_shape};
+use super::intervals::{cut, frames};
 use super::{boxes, decode, find, index_first, reason, settings, small};
 
 /// A server on this machine that must not be asked for anything.
@@ -183,7 +184,15 @@ fn tables_that_claim_more_samples_than_there_are_bytes_are_refused() {
     for (mut bytes, table, count_at) in [(fragmented(), b"trun", 8), (small("mp4"), b"stsz", 12)] {
         let at = find(&bytes, table) + count_at;
         bytes[at..at + 4].copy_from_slice(&(5_u32 << 24).to_be_bytes());
-        assert!(reason(decode(&bytes).0).contains("more pictures than the file has bytes"));
+        let limits = DecodeLimits::default();
+        let header = video_shape(Cursor::new(bytes.clone()), None, &limits);
+        for result in [
+            decode(&bytes).0.map(drop),
+            cut(&bytes, frames(2, 5)).0.map(drop),
+            header.map(drop),
+        ] {
+            assert!(reason(result).contains("more pictures than the file has bytes"));
+        }
     }
 }
 

@@ -15,7 +15,7 @@ const FPS: i64 = 25;
 const FRAMES: usize = 40;
 
 /// Frames `from..to`, from half a frame before each.
-fn frames(from: i64, to: i64) -> Interval {
+pub(super) fn frames(from: i64, to: i64) -> Interval {
     let ns = |frame: i64| (2 * frame - 1) * 500_000_000 / FPS;
     Interval {
         from_ns: ns(from),
@@ -42,7 +42,10 @@ fn cut_with(
     (result, delivered)
 }
 
-fn cut(bytes: &[u8], interval: Interval) -> (Result<VideoInfo, DecodeError>, Vec<DecodedFrame>) {
+pub(super) fn cut(
+    bytes: &[u8],
+    interval: Interval,
+) -> (Result<VideoInfo, DecodeError>, Vec<DecodedFrame>) {
     cut_with(bytes, interval, &DecodeLimits::default())
 }
 

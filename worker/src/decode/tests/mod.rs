@@ -138,7 +138,7 @@ pub(super) fn decode(bytes: &[u8]) -> (Result<VideoInfo, DecodeError>, Vec<Decod
     decode_with(bytes, &DecodeLimits::default())
 }
 
-pub(super) fn reason(result: Result<VideoInfo, DecodeError>) -> String {
+pub(super) fn reason<T: std::fmt::Debug>(result: Result<T, DecodeError>) -> String {
     result.expect_err("must be refused").to_string()
 }
 
