@@ -11,15 +11,17 @@ mod support;
 
 use std::fs;
 use std::ops::ControlFlow;
+use std::os::unix::ffi::OsStrExt;
 
-use plumbline_common::message::{self, Job};
+use plumbline_common::message::{self, Job, Location, ObjectLocation, Part, PartLocation, Whole};
 use plumbline_common::row::Measurement;
+use plumbline_common::store::{DirStore, ObjectKey, ObjectStore};
 use plumbline_worker::child::{Drawing, SlotError};
 use plumbline_worker::explain::{DrawJob, Marked, Subject};
 use plumbline_worker::measure::frames::FramesJob;
 use plumbline_worker::measure::shape::Told;
 use plumbline_worker::slam::SlamOutcome;
-use support::{as_object, clip, fetcher, file_job, profile, slot};
+use support::{BUCKET, as_object, clip, fetcher, file_job, profile, slot};
 
 #[tokio::test]
 async fn an_object_and_a_file_of_the_same_bytes_give_the_same_bytes() {
@@ -75,6 +77,58 @@ async fn an_object_and_a_file_of_the_same_bytes_give_the_same_bytes() {
     assert_eq!(fs::read_dir(&scratch[0]).unwrap().count(), 1);
     drop((slot, fetcher));
     assert!(!scratch[0].exists());
+}
+
+/// Job by job the same rows as of the file where it lies.
+#[tokio::test]
+async fn a_file_of_many_episodes_is_fetched_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mp4");
+    clip(&path);
+    let fetcher = fetcher(dir.path(), &dir.path().join("scratch")).await;
+    let mut slot = slot(&fetcher);
+    let whole = file_job("a", &path);
+    let object = |etag: Option<&str>| ObjectLocation {
+        bucket: BUCKET.to_owned(),
+        key: "a.mp4".to_owned(),
+        etag: etag.map(str::to_owned),
+        modified_s: None,
+    };
+    let episode = |whole_file: Whole, from_ns, to_ns| Job {
+        location: Location::Part(PartLocation {
+            whole: whole_file,
+            part: Part::Interval { from_ns, to_ns },
+        }),
+        ..whole.clone()
+    };
+    let etag = DirStore::new(dir.path())
+        .head(&ObjectKey::new("a.mp4").unwrap())
+        .await
+        .unwrap()
+        .etag;
+    let mut fetched = Vec::new();
+    for (from_ns, to_ns) in [(0, 400_000_000), (400_000_000, 800_000_000)] {
+        let of_object = |etag| episode(Whole::Object(object(etag)), from_ns, to_ns);
+        let of_file = episode(
+            Whole::File(path.as_os_str().as_bytes().to_vec()),
+            from_ns,
+            to_ns,
+        );
+        let job = of_object(etag.as_deref());
+        let here = fetcher.fetch(&job).await.unwrap();
+        fetched.push(here.bytes);
+        let of_object = slot.measure(&job).await.unwrap().outcome.measurement;
+        assert!(of_object.frames.is_some(), "{of_object:?}");
+        assert_eq!(
+            of_object,
+            slot.measure(&of_file).await.unwrap().outcome.measurement
+        );
+    }
+    assert_eq!(fetched, [whole.bytes, 0]);
+    let unmarked = episode(Whole::Object(object(None)), 0, 400_000_000);
+    for _ in 0..2 {
+        assert_eq!(fetcher.fetch(&unmarked).await.unwrap().bytes, whole.bytes);
+    }
 }
 
 #[tokio::test]

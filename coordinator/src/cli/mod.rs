@@ -20,7 +20,7 @@ mod summary;
 mod tradeoff;
 mod watching;
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -157,11 +157,14 @@ fn print_text(text: &str, out: &Path) -> Result<(), Failure> {
     })
 }
 
-/// A line of a result that is nowhere else.
+/// A line of a result that is nowhere else; a reader that has closed the pipe wants no more of them.
 fn print_line(line: &str) -> Result<(), Failure> {
-    let written = writeln!(std::io::stdout(), "{line}");
-    written
-        .map_err(|error| Failure::stopped(format!("standard output cannot be written ({error})")))
+    match writeln!(std::io::stdout(), "{line}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::stopped(format!(
+            "standard output cannot be written ({error})"
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// A broker's error as a command's: an address can be mended, a broker may come back.

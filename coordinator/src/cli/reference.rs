@@ -122,7 +122,7 @@ fn freeze_rows(args: FitArgs) -> Result<u8, Failure> {
     }
     if n < STEADY_ROWS {
         say(&format!(
-            "note: {n} rows follow single ones; {STEADY_ROWS} or more make a steadier reference"
+            "note: of {n} rows, single ones move the statistics; {STEADY_ROWS} or more make a steadier reference"
         ));
     }
     say(&format!(

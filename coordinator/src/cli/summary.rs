@@ -99,11 +99,17 @@ pub(super) fn table(finished: &Finished) {
             ));
         }
     }
+    let measured = finished.measured_now;
+    let each = match measured {
+        0 => String::new(),
+        _ => format!(
+            " ({:.2} s of compute each)",
+            finished.compute_s / measured as f64
+        ),
+    };
     say(&format!(
-        "{} measured now in {:.1} s ({:.2} s of compute each)",
-        finished.measured_now,
-        finished.elapsed_s,
-        finished.compute_s / finished.measured_now.max(1) as f64
+        "{measured} measured now in {:.1} s{each}",
+        finished.elapsed_s
     ));
     say(&format!(
         "report: {}",

@@ -5,6 +5,7 @@
 //! object in a row names its address and is the same text on every machine: neither the scratch file nor
 //! the words of a service are in it.
 
+mod kept;
 mod scratch;
 
 use std::collections::HashMap;
@@ -22,6 +23,7 @@ use serde::Deserialize;
 use tempfile::TempPath;
 use tokio::sync::{Mutex, OnceCell};
 
+use self::kept::Kept;
 use self::scratch::Scratch;
 use crate::learned::{ModelPlaces, ModelSettings, ModelSource, SourceError};
 use crate::measure::read::{ReadError, byte_range};
@@ -44,6 +46,7 @@ pub struct Fetcher {
 #[derive(Debug)]
 struct Shared {
     s3: S3Options,
+    kept: Kept,
     scratch_parent: PathBuf,
     scratch: OnceCell<Scratch>,
     /// By bucket.
@@ -53,9 +56,9 @@ struct Shared {
 /// A job whose bytes are on this machine.
 #[derive(Debug)]
 pub struct Fetched {
-    /// The copy of an object, or of some of it, removed when dropped; files are read where they are.
-    copy: Option<TempPath>,
-    /// Bytes read from a store.
+    /// The copy of an object, or of some of it, removed with its last job; files are read where they are.
+    copy: Option<Arc<TempPath>>,
+    /// Bytes read from a store for this job.
     pub bytes: u64,
     /// How long that took.
     pub took: Duration,
@@ -76,7 +79,7 @@ impl Fetched {
 
     /// The copy, where the job is an object.
     pub(crate) fn path(&self) -> Option<&Path> {
-        self.copy.as_deref()
+        self.copy.as_ref().map(|copy| &***copy)
     }
 }
 
@@ -112,6 +115,7 @@ impl Fetcher {
             models: Arc::new(ModelSource::new(ModelSettings::default(), s3.clone())),
             shared: Arc::new(Shared {
                 s3,
+                kept: Kept::default(),
                 scratch_parent: scratch_parent.into(),
                 scratch: OnceCell::new(),
                 stores: Mutex::default(),
@@ -163,7 +167,7 @@ impl Fetcher {
     }
 
     /// Brings the bytes of `job` here, if they are an object's: of a tar's member its own alone, of an episode
-    /// in a longer video the whole video.
+    /// in a longer video the whole video, unless another episode has left it here.
     ///
     /// # Errors
     /// [`FetchError`], with the row that the video gets if nobody tries again.
@@ -174,8 +178,15 @@ impl Fetcher {
         let (copy, bytes) = match job.location.object() {
             None => (None, 0),
             Some(object) => {
-                let copy = self.copy(job, object, u64::MAX).await?;
-                (Some(copy), job.bytes_read())
+                let whole = async || self.copy(job, object, u64::MAX).await;
+                let is_episode = matches!(job.location.part(), Some(Part::Interval { .. }));
+                // Without a mark of its version what is there now may be another.
+                let (copy, was_fetched) = match &object.etag {
+                    Some(_) if is_episode => self.shared.kept.get(object, whole).await?,
+                    _ => (Arc::new(whole().await?), true),
+                };
+                let bytes = if was_fetched { job.bytes_read() } else { 0 };
+                (Some(copy), bytes)
             }
         };
         Ok(Fetched {
@@ -194,7 +205,7 @@ impl Fetcher {
     pub(crate) async fn fetch_ends(&self, job: &Job) -> Result<Fetched, FetchError> {
         let mut fetched = Fetched::of_models(None);
         if let Some(object) = job.location.object() {
-            fetched.copy = Some(self.copy(job, object, END_BYTES).await?);
+            fetched.copy = Some(Arc::new(self.copy(job, object, END_BYTES).await?));
         }
         Ok(fetched)
     }
