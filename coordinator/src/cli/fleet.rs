@@ -175,6 +175,9 @@ async fn dead(broker: &dyn Broker, run: Option<&RunId>, json: bool) -> Result<()
         let letters = serde_json::to_string_pretty(&letters).map_err(Failure::stopped)?;
         return print_line(&letters);
     }
+    if letters.is_empty() {
+        say("no dead letters");
+    }
     for letter in &letters {
         let Letter {
             run,
