@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::convert::{aspect, square_width};
 use super::orient::Orientation;
-use super::video::Source;
+use super::source::Source;
 use super::{DecodeError, DecodeLimits, Interval};
 
 /// Length and size of a video.

@@ -7,9 +7,10 @@
 //! compute child that calls this.
 //!
 //! Files: [`mod@sniff`] (container by magic bytes), `structure` (does the file hold what its headers promise),
-//! `sample_tables` (do they promise more than it can hold), `ffi` (all unsafe code), [`video`] (the decoding loop), `interval` (an episode of a longer video), `timeline`
-//! (presentation times), `convert` and
-//! `orient` (pixels), `header` (length and size without decoding), [`images`] (numbered images).
+//! `sample_tables` (do they promise more than it can hold), `ffi` (all unsafe code), `source` (an open
+//! container), [`video`] (the decoding loop), `interval` (an episode of a longer video), `timeline`
+//! (presentation times), `convert` and `orient` (pixels), `header` (length and size without decoding),
+//! [`images`] (numbered images).
 
 mod convert;
 mod error;
@@ -20,6 +21,7 @@ mod interval;
 mod orient;
 mod sample_tables;
 pub mod sniff;
+mod source;
 mod structure;
 #[cfg(test)]
 mod tests;

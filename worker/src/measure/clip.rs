@@ -10,98 +10,34 @@ use std::time::{Duration, Instant};
 use plumbline_common::message::Thumbnails;
 use plumbline_common::row::{Measurement, Scene, Status};
 use plumbline_vision::consistency::{
-    ConsistencyParams, EndPointError, Evidence, FrameStructure, GridFlow, NormalisedFrame,
-    Structure, worldscore_epe,
+    ConsistencyParams, EndPointError, Evidence, GridFlow, Structure, worldscore_epe,
 };
 use plumbline_vision::faults::{ChangePair, FaultKind, FaultSeries};
-use plumbline_vision::flow::Flow;
-use plumbline_vision::flow::dis::{Dis, DisFrame};
-use plumbline_vision::image::{Plane, Rgb8, resize_rgb};
-use plumbline_vision::learned::sea_raft::SeaRaftFrame;
+use plumbline_vision::image::{Plane, Rgb8};
 use plumbline_vision::scene::clip::worst_edge;
 use plumbline_vision::scene::{AdjustedEdge, ClipGeometry, clip_layers};
 use plumbline_vision::signals::PairSignals;
 
 use super::edges::{Edges, Flows, PairFlows};
+use super::error::{ClipError, at};
 use super::fill;
 use super::geometry::DenseWork;
 use super::learned::{LearnedMeasures, LearnedWork};
 use super::network_flow::NetworkFlow;
 use super::observers::{Across, Observers};
+use super::prepared::{FlowSearch, Prepared, working_picture};
 use super::thumbnail::thumbnails;
 use super::verdict::{PairEvidence, verdict};
 use crate::decode::{DecodedFrame, VideoInfo};
 use crate::learned::Networks;
 use crate::profile::Profile;
 
-/// Wider pictures would blow up at the working height; no camera makes them.
-const MAX_ASPECT: usize = 8;
-
-/// Why a decoded clip cannot be measured.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum ClipError {
-    #[error("the picture is {width}×{height}, an aspect beyond {MAX_ASPECT}:1; crop it")]
-    Aspect { width: usize, height: usize },
-    #[error(
-        "a {width}x{height} picture is too small for {stage}: {least} px are needed on each side; enlarge the video"
-    )]
-    TooSmall {
-        stage: &'static str,
-        width: usize,
-        height: usize,
-        least: usize,
-    },
-    #[error(
-        "{frames} frames, more than the {most} that droid.most_frames of the profile allows; cut the clip into parts, or raise that and --memory by some 30 MiB for each frame"
-    )]
-    TooLong { frames: u32, most: u32 },
-    #[error("{stage} at frame {frame}: {source}")]
-    Stage {
-        stage: &'static str,
-        frame: u32,
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
-}
-
-impl ClipError {
-    /// What becomes of the video.
-    pub(super) fn status(&self) -> Status {
-        match self {
-            Self::Aspect { .. } | Self::TooLong { .. } => Status::OverLimit,
-            Self::TooSmall { .. } | Self::Stage { .. } => Status::Failed,
-        }
-    }
-}
-
-/// Names the stage and frame of an error.
-pub(super) fn at<E: std::error::Error + Send + Sync + 'static>(
-    stage: &'static str,
-    frame: u32,
-) -> impl Fn(E) -> ClipError {
-    move |source| ClipError::Stage {
-        stage,
-        frame,
-        source: Box::new(source),
-    }
-}
-
-/// Wall time by stage.
+/// Wall time by stage, but for the search for flows.
 #[derive(Debug, Default, Clone, Copy)]
 pub(super) struct Spent {
-    pub(super) flow: Duration,
     pub(super) signals: Duration,
     pub(super) geometry: Duration,
     pub(super) learned: LearnedWork,
-}
-
-/// A frame, prepared once for all pairs that it takes part in.
-pub(super) struct Prepared {
-    pub(super) index: u32,
-    pub(super) rgb: Rgb8,
-    dis: Rc<DisFrame>,
-    network: Option<Rc<SeaRaftFrame>>,
-    pub(super) normalised: Rc<NormalisedFrame>,
-    structure: Rc<FrameStructure>,
 }
 
 /// One adjacent pair's numbers.
@@ -137,17 +73,6 @@ struct Seen {
     flows: Vec<(u32, Flows)>,
 }
 
-/// Pairs of frames, of which each has a flow there and one back.
-#[derive(Debug, Default, Clone, Copy)]
-pub(super) struct FlowWork {
-    /// Pairs whose flows were searched for.
-    pub(super) pairs: u64,
-    /// Pairs that a measurement would take that leaves nothing out.
-    pub(super) pairs_in_full: u64,
-    /// Frames that are the one before again, bit for bit.
-    pub(super) frames_repeated: u64,
-}
-
 /// Both flows of a pair on the evidence grid.
 fn grid_flows(
     flows: &PairFlows,
@@ -162,27 +87,15 @@ fn grid_flows(
     ])
 }
 
-/// A frame at the working size: the profile's height, aspect kept.
-pub(crate) fn working_picture(profile: &Profile, frame: &DecodedFrame) -> Result<Rgb8, ClipError> {
-    let (width, height) = (frame.rgb.width, frame.rgb.height);
-    if width > MAX_ASPECT * height || height > MAX_ASPECT * width {
-        return Err(ClipError::Aspect { width, height });
-    }
-    let (working_width, working_height) = profile.working_size(width, height);
-    Ok(resize_rgb(&frame.rgb, working_width, working_height))
-}
-
 /// A clip being measured.
 pub(super) struct Clip<'a> {
     profile: &'a Profile,
-    dis: Dis,
-    network_flow: Option<NetworkFlow<'a>>,
+    pub(super) search: FlowSearch<'a>,
     learned: LearnedMeasures<'a>,
     recent: VecDeque<Rc<Prepared>>,
     usable_frames: u32,
     pairs: Vec<Pair>,
     edges: Edges<'a>,
-    pub(super) flow_work: FlowWork,
     pub(super) dense_work: DenseWork,
     geometry: Option<ClipGeometry>,
     observers: Option<Observers>,
@@ -208,14 +121,12 @@ impl<'a> Clip<'a> {
         let (learned, sea_raft) = LearnedMeasures::new(profile, networks);
         Self {
             profile,
-            dis: Dis::new(profile.flow.clone()),
-            network_flow: sea_raft.map(NetworkFlow::new),
+            search: FlowSearch::new(profile, sea_raft.map(NetworkFlow::new)),
             learned,
             recent: VecDeque::new(),
             usable_frames: 0,
             pairs: Vec::new(),
             edges: Edges::new(profile),
-            flow_work: FlowWork::default(),
             dense_work: DenseWork::default(),
             geometry: None,
             observers: None,
@@ -268,7 +179,7 @@ impl<'a> Clip<'a> {
         let rgb = working_picture(self.profile, &frame)?;
         let video = (frame.rgb.width, frame.rgb.height);
         self.edges.sized(video, (rgb.width, rgb.height));
-        let current = self.prepare(frame.index, rgb)?;
+        let current = self.search.prepare(frame.index, rgb, self.recent.back())?;
         let recent = self.recent.clone();
         let mut seen = Seen::default();
         if let Some(earlier) = recent.back() {
@@ -279,7 +190,7 @@ impl<'a> Clip<'a> {
             if !self.profile.edge_spans.contains(&(to - from)) {
                 continue;
             }
-            self.flow_work.pairs_in_full += 1;
+            self.search.work.pairs_in_full += 1;
             match &seen.adjacent {
                 Some(edge) if to - from == 1 => {
                     self.geometric(|edges| edges.measured(from, to, &edge.flows))?;
@@ -313,7 +224,7 @@ impl<'a> Clip<'a> {
         if self.profile.follow_flow {
             self.geometric(|edges| edges.followed(from, to))?;
         } else {
-            let flows = self.flows(earlier, current)?;
+            let flows = self.search.flows(earlier, current)?;
             self.geometric(|edges| edges.measured(from, to, &flows))?;
             seen.flows.push((from, flows));
         }
@@ -322,7 +233,7 @@ impl<'a> Clip<'a> {
         {
             let flows = match seen.flows.last() {
                 Some((start, flows)) if *start == from => Rc::clone(flows),
-                _ => self.flows(earlier, current)?,
+                _ => self.search.flows(earlier, current)?,
             };
             seen.across = self.across(earlier, current, &flows, adjacent)?;
         }
@@ -384,13 +295,13 @@ impl<'a> Clip<'a> {
             return Ok(());
         }
         let rgb = working_picture(self.profile, frame)?;
-        let current = self.prepare(frame.index, rgb)?;
+        let current = self.search.prepare(frame.index, rgb, self.recent.back())?;
         for earlier in self.recent.clone() {
             let (from, to) = (earlier.index, current.index);
             match to - from {
                 1 => self.geometric(|edges| edges.keep(from, to))?,
                 span if self.profile.edge_spans.contains(&span) => {
-                    let flows = self.flows(&earlier, &current)?;
+                    let flows = self.search.flows(&earlier, &current)?;
                     self.geometric(|edges| edges.measured(from, to, &flows))?;
                 }
                 _ => {}
@@ -406,67 +317,6 @@ impl<'a> Clip<'a> {
             self.recent.pop_front();
         }
         self.recent.push_back(current);
-    }
-
-    /// Prepares a frame at the working size; one that is the last one again shares its preparation.
-    fn prepare(&mut self, index: u32, rgb: Rgb8) -> Result<Rc<Prepared>, ClipError> {
-        if let Some(last) = self.recent.back().filter(|last| last.rgb == rgb) {
-            self.flow_work.frames_repeated += 1;
-            return Ok(Rc::new(Prepared {
-                index,
-                rgb,
-                dis: Rc::clone(&last.dis),
-                network: last.network.clone(),
-                normalised: Rc::clone(&last.normalised),
-                structure: Rc::clone(&last.structure),
-            }));
-        }
-        let grey = rgb.grey();
-        let started = Instant::now();
-        let dis = DisFrame::new(&grey, &self.profile.flow).map_err(at("flow", index))?;
-        let network = match &mut self.network_flow {
-            Some(network) => Some(Rc::new(network.prepare(index, &rgb)?)),
-            None => None,
-        };
-        self.spent.flow += started.elapsed();
-        let normalised = NormalisedFrame::new(&grey, &self.profile.consistency)
-            .map_err(at("consistency", index))?;
-        Ok(Rc::new(Prepared {
-            index,
-            rgb,
-            dis: Rc::new(dis),
-            network,
-            structure: Rc::new(FrameStructure::new(&normalised)),
-            normalised: Rc::new(normalised),
-        }))
-    }
-
-    /// Forward and backward flow between two frames: zero, as the search would find, between one frame and
-    /// itself.
-    fn flows(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Flows, ClipError> {
-        let networks = earlier.network.as_ref().zip(later.network.as_ref());
-        if networks.is_none() && Rc::ptr_eq(&earlier.dis, &later.dis) {
-            let still = Flow::still(earlier.rgb.width, earlier.rgb.height);
-            return Ok(Rc::new(PairFlows::of([still.clone(), still])));
-        }
-        let started = Instant::now();
-        let flows =
-            if let (Some(network), Some((first, second))) = (&mut self.network_flow, networks) {
-                let (forward, ahead) = network.flow(later.index, first, second, &later.rgb)?;
-                let (backward, back) = network.flow(later.index, second, first, &later.rgb)?;
-                PairFlows {
-                    ways: [forward, backward],
-                    confidence: Some([ahead, back]),
-                }
-            } else {
-                let error = at("flow", later.index);
-                let forward = self.dis.flow(&earlier.dis, &later.dis).map_err(&error)?;
-                let backward = self.dis.flow(&later.dis, &earlier.dis).map_err(&error)?;
-                PairFlows::of([forward, backward])
-            };
-        self.flow_work.pairs += 1;
-        self.spent.flow += started.elapsed();
-        Ok(Rc::new(flows))
     }
 
     /// The end-point error of the way there, earlier → later.
@@ -496,7 +346,7 @@ impl<'a> Clip<'a> {
 
     /// Both flows between two frames, and the evidence on them.
     fn edge(&mut self, earlier: &Prepared, later: &Prepared) -> Result<Edge, ClipError> {
-        let flows = self.flows(earlier, later)?;
+        let flows = self.search.flows(earlier, later)?;
         let started = Instant::now();
         let params = &self.profile.consistency;
         let error = at("consistency", later.index);
@@ -538,11 +388,11 @@ impl<'a> Clip<'a> {
                     (1, Some(edge)) => edge.change.forward.clone(),
                     (span, _) => {
                         let is_edge = self.profile.edge_spans.contains(&span);
-                        self.flow_work.pairs_in_full += u64::from(!is_edge);
+                        self.search.work.pairs_in_full += u64::from(!is_edge);
                         let known = seen.flows.iter().find(|(from, _)| *from == kept.index);
                         let flows = match known {
                             Some((_, flows)) => Rc::clone(flows),
-                            None => self.flows(kept, current)?,
+                            None => self.search.flows(kept, current)?,
                         };
                         self.step_evidence(kept, current, &flows)?
                     }

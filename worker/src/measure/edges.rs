@@ -17,7 +17,7 @@ use plumbline_vision::scene::{
 };
 use plumbline_vision::slam::flow_operator::{grid_of, sample_chain, sample_flow};
 
-use super::clip::{ClipError, at};
+use super::error::{ClipError, at};
 use super::geometry::{DenseGraph, DenseWork, weigh};
 use super::network_flow::Confidence;
 use crate::profile::Profile;

@@ -17,7 +17,7 @@ use plumbline_vision::scene::AdjustedEdge;
 use plumbline_vision::slam::camera::Grid;
 use plumbline_vision::slam::reference::ReferenceTracker;
 
-use super::clip::{ClipError, at};
+use super::error::{ClipError, at};
 use crate::learned::{LoadedSeaRaft, Networks};
 use crate::profile::{DroidUse, Profile, SeaRaftRole};
 

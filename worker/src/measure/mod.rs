@@ -8,12 +8,14 @@
 mod assess;
 mod clip;
 mod edges;
+mod error;
 mod fill;
 pub mod frames;
 mod geometry;
 mod learned;
 mod network_flow;
 mod observers;
+mod prepared;
 pub(crate) mod read;
 pub mod shape;
 mod thumbnail;
@@ -34,8 +36,9 @@ use serde::{Deserialize, Serialize};
 use crate::decode::{DecodeError, DecodedFrame, VideoInfo};
 use crate::learned::{Loaded, ModelPlaces, Networks};
 use crate::profile::Profile;
-pub(crate) use clip::working_picture;
-use clip::{Clip, ClipError};
+use clip::Clip;
+use error::ClipError;
+pub(crate) use prepared::working_picture;
 use read::{Input, ReadError};
 
 /// Why there is no outcome at all: the job itself is wrong.
@@ -152,15 +155,16 @@ fn measured(
     };
     cost.total_s = started.elapsed().as_secs_f64();
     cost.cpu_s = cpu_time().saturating_sub(cpu_started).as_secs_f64();
-    cost.flow_s = clip.spent.flow.as_secs_f64();
+    cost.flow_s = clip.search.spent.as_secs_f64();
     cost.signals_s = clip.spent.signals.as_secs_f64();
     cost.geometry_s = clip.spent.geometry.as_secs_f64();
-    cost.flow_pairs = clip.flow_work.pairs;
+    cost.flow_pairs = clip.search.work.pairs;
     cost.flow_pairs_saved = clip
-        .flow_work
+        .search
+        .work
         .pairs_in_full
-        .saturating_sub(clip.flow_work.pairs);
-    cost.frames_repeated = clip.flow_work.frames_repeated;
+        .saturating_sub(clip.search.work.pairs);
+    cost.frames_repeated = clip.search.work.frames_repeated;
     cost.photometric_s = clip.spent.learned.photometric.as_secs_f64();
     cost.tracking_s = clip.spent.learned.tracking.as_secs_f64();
     cost.edge_updates = clip.spent.learned.edge_updates;

@@ -4,7 +4,7 @@ use plumbline_vision::flow::Flow;
 use plumbline_vision::image::{Plane, Rgb8, resize_plane};
 use plumbline_vision::learned::sea_raft::{SeaRaft, SeaRaftFrame};
 
-use super::clip::ClipError;
+use super::error::ClipError;
 use super::learned::learned_error;
 
 /// How far the network trusts its flow, in (0, 1], of the working size.

@@ -11,7 +11,9 @@ use plumbline_vision::image::Plane;
 use plumbline_vision::signals::arc::{ArcClip, ArcSelector, ArcSignals};
 use plumbline_vision::signals::contact::{Contact, ContactStream};
 
-use super::clip::{ClipError, Edge, Prepared, at};
+use super::clip::Edge;
+use super::error::{ClipError, at};
+use super::prepared::Prepared;
 use crate::profile::Profile;
 
 /// The observers of one clip.
