@@ -8,6 +8,7 @@
 
 mod process;
 mod protocol;
+mod running;
 mod sandbox;
 mod slot;
 

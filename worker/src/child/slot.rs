@@ -1,25 +1,19 @@
 //! The parent's side: one child per slot, started when needed, replaced when it dies.
 
-use std::ffi::OsStr;
 use std::ops::ControlFlow;
 use std::os::unix::ffi::OsStrExt;
 use std::path::PathBuf;
-use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
-use plumbline_common::frame::{self, FrameError, HEADER_BYTES};
 use plumbline_common::message::{self, Job, MessageError, Outcome};
 use plumbline_common::row::{Cost, Measurement, Status};
 use plumbline_vision::faults::FaultSeries;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command};
-use tokio::task::JoinHandle;
 
-use super::protocol::{Ask, Drawn, Request};
-use super::{CHILD_ARGUMENT, MEMORY_ARGUMENT};
+use super::protocol::{Ask, Request};
+use super::running::Running;
 use crate::explain::{DrawJob, Picture};
 use crate::fetch::{FetchError, FetchFailure, Fetched, Fetcher};
 use crate::measure::Detailed;
@@ -30,17 +24,6 @@ use crate::slam::SlamOutcome;
 /// A crashed job is tried once more in a fresh child: the crash may have been the machine's, but a
 /// video that kills two children is the cause.
 pub(crate) const MAX_ATTEMPTS: u32 = 2;
-
-/// How much of a dying child's standard error is kept for the reason.
-const STDERR_TAIL_BYTES: usize = 2048;
-
-/// Whether a variable stays with the parent: its own settings, and what may be a password.
-fn is_withheld(name: &OsStr) -> bool {
-    let name = name.to_string_lossy();
-    let own = ["AWS_", "PLUMBLINE_"];
-    let secret = ["KEY", "TOKEN", "SECRET", "PASSWORD"];
-    own.iter().any(|start| name.starts_with(start)) || secret.iter().any(|part| name.contains(part))
-}
 
 /// What one video may cost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -131,14 +114,6 @@ pub struct ComputeSlot {
     fetcher: Fetcher,
     running: Option<Running>,
     children_lost: u64,
-}
-
-#[derive(Debug)]
-struct Running {
-    child: Child,
-    stdin: ChildStdin,
-    stdout: ChildStdout,
-    last_words: JoinHandle<Vec<u8>>,
 }
 
 impl ComputeSlot {
@@ -315,7 +290,7 @@ impl ComputeSlot {
         let request = encode(Ask::Draw(job.clone()), &fetched)?;
         let mut running = match self.running.take() {
             Some(running) => running,
-            None => self.spawn()?,
+            None => Running::start(&self.program, self.limits.memory_mib)?,
         };
         let deadline_s = self.limits.deadline_of(&fetched);
         match tokio::time::timeout(duration(deadline_s), running.draw(&request, take)).await {
@@ -353,7 +328,7 @@ impl ComputeSlot {
         for attempts in 1..=MAX_ATTEMPTS {
             let mut running = match self.running.take() {
                 Some(running) => running,
-                None => self.spawn()?,
+                None => Running::start(&self.program, self.limits.memory_mib)?,
             };
             match tokio::time::timeout(duration(deadline_s), running.exchange(&request)).await {
                 Ok(Ok(answer)) => {
@@ -377,156 +352,6 @@ impl ComputeSlot {
         );
         Ok((Err(reason), MAX_ATTEMPTS))
     }
-
-    fn spawn(&self) -> Result<Running, SlotError> {
-        let spawn_error = |source| SlotError::Spawn {
-            program: self.program.clone(),
-            source,
-        };
-        let passed_on = std::env::vars_os().filter(|(name, _)| !is_withheld(name));
-        let mut child = Command::new(&self.program)
-            // Hostile bytes are decoded there, which need know no password; and a reason holds a panic's
-            // message, not its trace.
-            .env_clear()
-            .envs(passed_on)
-            .env("RUST_BACKTRACE", "0")
-            // It may not write a file, and ends where it tries: ONNX Runtime keeps a database of its own
-            // doings below these, and does without where there is no such directory.
-            .env("HOME", "/dev/null")
-            .env("XDG_CACHE_HOME", "/dev/null")
-            .arg(CHILD_ARGUMENT)
-            .arg(MEMORY_ARGUMENT)
-            .arg(self.limits.memory_mib.to_string())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .kill_on_drop(true)
-            // Ctrl-C goes to the whole foreground group; the parent alone decides what it means.
-            .process_group(0)
-            .spawn()
-            .map_err(spawn_error)?;
-        let missing = || spawn_error(std::io::Error::other("a pipe is missing"));
-        let stdin = child.stdin.take().ok_or_else(missing)?;
-        let stdout = child.stdout.take().ok_or_else(missing)?;
-        let stderr = child.stderr.take().ok_or_else(missing)?;
-        Ok(Running {
-            child,
-            stdin,
-            stdout,
-            last_words: tokio::spawn(tail_of(stderr)),
-        })
-    }
-}
-
-impl Running {
-    async fn exchange<T: DeserializeOwned>(&mut self, request: &[u8]) -> Result<T, ExchangeError> {
-        self.send(request).await?;
-        self.receive().await
-    }
-
-    async fn draw<F: FnMut(Picture) -> ControlFlow<()>>(
-        &mut self,
-        request: &[u8],
-        take: &mut F,
-    ) -> Result<Drawing, ExchangeError> {
-        self.send(request).await?;
-        loop {
-            match self.receive().await? {
-                // A child that decodes hostile bytes is not taken at its word.
-                Drawn::Picture(picture) if !picture.is_whole() => {
-                    return Err(FrameError::Torn.into());
-                }
-                Drawn::Picture(picture) => {
-                    if take(picture).is_break() {
-                        return Ok(Drawing::Stopped);
-                    }
-                }
-                Drawn::End(None) => return Ok(Drawing::Whole),
-                Drawn::End(Some(reason)) => return Ok(Drawing::Missing(reason)),
-            }
-        }
-    }
-
-    async fn send(&mut self, request: &[u8]) -> Result<(), ExchangeError> {
-        self.stdin.write_all(&frame::header(request)?).await?;
-        self.stdin.write_all(request).await?;
-        Ok(self.stdin.flush().await?)
-    }
-
-    async fn receive<T: DeserializeOwned>(&mut self) -> Result<T, ExchangeError> {
-        let mut header = [0; HEADER_BYTES];
-        self.stdout.read_exact(&mut header).await?;
-        let mut payload = vec![0; frame::payload_len(&header)?];
-        self.stdout.read_exact(&mut payload).await?;
-        frame::verify(&header, &payload)?;
-        Ok(message::decode(&payload)?)
-    }
-
-    /// How the child ended, with its last words.
-    async fn obituary(mut self, broken: ExchangeError) -> String {
-        let _already_dead = self.child.start_kill();
-        let ended = match self.child.wait().await {
-            Ok(status) => describe(status),
-            Err(error) => error.to_string(),
-        };
-        let tail = self.last_words.await.unwrap_or_default();
-        match last_words(&tail) {
-            Some(words) => format!("{ended}: {words}"),
-            None => format!("{ended}: {broken}"),
-        }
-    }
-}
-
-#[derive(Debug, thiserror::Error)]
-enum ExchangeError {
-    #[error(transparent)]
-    Io(#[from] std::io::Error),
-    #[error(transparent)]
-    Frame(#[from] FrameError),
-    #[error(transparent)]
-    Message(#[from] MessageError),
-}
-
-fn describe(status: ExitStatus) -> String {
-    use std::os::unix::process::ExitStatusExt;
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("exit code {code}"),
-        (None, Some(signal)) => format!("signal {signal}"),
-        (None, None) => "no exit code".into(),
-    }
-}
-
-/// The last line that says something, bounded and printable.
-fn last_words(tail: &[u8]) -> Option<String> {
-    const MAX_CHARS: usize = 200;
-    let text = String::from_utf8_lossy(tail);
-    let said = |line: &&str| !line.trim().is_empty() && !line.contains("RUST_BACKTRACE");
-    let line = text
-        .lines()
-        .find(|line| line.contains("panicked") || line.contains("memory allocation"))
-        .or_else(|| text.lines().rev().find(said))?;
-    Some(
-        line.trim()
-            .chars()
-            .filter(|c| !c.is_control())
-            .take(MAX_CHARS)
-            .collect(),
-    )
-}
-
-/// Drains standard error to its end and keeps the last bytes.
-async fn tail_of(mut stderr: ChildStderr) -> Vec<u8> {
-    let mut tail = Vec::new();
-    let mut chunk = [0; 1024];
-    while let Ok(n) = stderr.read(&mut chunk).await {
-        if n == 0 {
-            break;
-        }
-        tail.extend_from_slice(&chunk[..n]);
-        let surplus = tail.len().saturating_sub(STDERR_TAIL_BYTES);
-        tail.drain(..surplus);
-    }
-    tail
 }
 
 fn duration(seconds: f64) -> Duration {
