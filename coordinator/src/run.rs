@@ -5,57 +5,45 @@
 
 mod cascade;
 mod error;
+mod finish;
 mod journals;
+mod workplace;
 
-use std::collections::{BTreeSet, HashMap};
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use plumbline_common::id::{NotARunId, RunId, VideoId};
+use plumbline_common::id::{NotARunId, RunId};
 use plumbline_common::row::{Measurement, Status};
 use plumbline_worker::profile::Profile;
 
 use crate::answers::Answers;
 use crate::cascade::record::CascadeRecord;
-use crate::collect::{Journal, JournalError};
+use crate::collect::Journal;
 use crate::corpus::{self, Choice, Entry, GroupBy, Ignored};
 use crate::fanout::{Fanout, Slots};
 use crate::fleet::{self, FleetOptions, FleetRun, Questions};
-use crate::heat_maps::{self, HeatMaps};
 use crate::keep::Keep;
-use crate::lease::Lease;
 use crate::measuring::{self, Spent, job};
 use crate::metrics::Metrics;
 use crate::parts::{self, Parts};
 use crate::progress::say;
-use crate::publish::{self, CorpusFile, CostRow, Format, OutDir, ProfileRecord, Publication};
-use crate::reduce::reference::Reference;
+use crate::publish::Format;
 use crate::reduce::{MeasuredVideo, ReduceOptions, Reduced};
 use crate::remote_out::RemoteOut;
-use crate::report::beside;
-use crate::report::player::Viewpoint;
-use crate::report::state::ReportState;
-use crate::report::{self, CostSummary, DEFAULT_RANKED, ReportInput};
 use crate::stop::StopSignals;
 use crate::thresholds::FaultCalibration;
 
 pub use cascade::CascadeOptions;
 use cascade::Climbed;
 pub use error::RunError;
+pub(crate) use finish::finish;
 pub(crate) use journals::{Journals, collected};
-
-/// Where a run keeps what it needs to resume, below OUT.
-pub(crate) const STATE_DIRECTORY: &str = ".plumbline";
-
-/// The frozen list of videos, below [`STATE_DIRECTORY`].
-pub(crate) const FROZEN_FILE: &str = "corpus.jsonl";
-
-/// What is measured, beside it.
-pub(crate) const JOURNAL_FILE: &str = "journal";
-
-/// What the run is called on a fleet, beside it.
-const RUN_FILE: &str = "run";
+pub(crate) use workplace::{
+    FROZEN_FILE, JOURNAL_FILE, STATE_DIRECTORY, Workplace, path_below, write_frozen,
+};
+use workplace::{RUN_FILE, journal_below};
 
 /// A usable `plumbline score`.
 #[derive(Debug, Clone)]
@@ -294,25 +282,6 @@ impl Site<'_> {
     }
 }
 
-/// The journal of a profile below the run's own; what an earlier run with that profile alone has measured is
-/// taken over.
-fn journal_below(top: &Path, digest: &str, resume: bool) -> Result<PathBuf, JournalError> {
-    let path = path_below(top, digest);
-    if resume && top.exists() && !path.exists() {
-        std::fs::copy(top, &path).map_err(|source| JournalError::Io {
-            path: path.clone(),
-            source,
-        })?;
-    }
-    Ok(path)
-}
-
-/// Where that journal lies.
-pub(crate) fn path_below(top: &Path, digest: &str) -> PathBuf {
-    let short = digest.get(..12).unwrap_or(digest);
-    top.with_file_name(format!("journal-{short}"))
-}
-
 /// Has the `asked` entries measured, and keeps the answers.
 async fn measure(
     options: &ScoreOptions,
@@ -390,83 +359,6 @@ async fn ask(
     ))
 }
 
-/// OUT, held against other runs.
-pub(crate) struct Workplace {
-    pub(crate) out: OutDir,
-    pub(crate) state: OutDir,
-    _lease: Lease,
-}
-
-impl Workplace {
-    /// Takes it, and the mark of a finished run away.
-    pub(crate) fn take(root: &Path) -> Result<Self, RunError> {
-        let out = OutDir::create(root)?;
-        let state = OutDir::create(root.join(STATE_DIRECTORY))?;
-        let lease = Lease::take(&state)?.ok_or_else(|| RunError::OutInUse {
-            out: root.display().to_string(),
-        })?;
-        out.sweep_partials()?;
-        out.remove(publish::CORPUS_FILE)?;
-        Ok(Self {
-            out,
-            state,
-            _lease: lease,
-        })
-    }
-
-    pub(crate) fn journal(
-        &self,
-        options: &ScoreOptions,
-        resume: bool,
-        entries: &[Entry],
-    ) -> Result<Journal, JournalError> {
-        let digest = &options.reduce.profile_digest;
-        Journal::open(&self.journal_path(), resume, entries, digest)
-    }
-
-    fn journal_path(&self) -> PathBuf {
-        self.state.root().join(JOURNAL_FILE)
-    }
-}
-
-/// What is published.
-pub(crate) struct Published {
-    pub(crate) reduced: Reduced,
-    pub(crate) cascade: Option<CascadeRecord>,
-    pub(crate) files: Vec<String>,
-}
-
-/// Reduces what is measured, draws heat maps where asked, and publishes.
-pub(crate) async fn finish(
-    options: &ScoreOptions,
-    entries: Arc<Vec<Entry>>,
-    measured: Journals,
-    out: OutDir,
-) -> Result<Published, RunError> {
-    let reduce_options = options.reduce.clone();
-    let reducing = tokio::task::spawn_blocking(move || -> Result<_, RunError> {
-        let (reduced, costs) = measured.reduce(&entries, &reduce_options)?;
-        Ok((entries, measured, costs, reduced))
-    });
-    let (entries, measured, costs, reduced) = reducing.await.map_err(RunError::Finishing)??;
-    let profile = &options.profile;
-    let (most, slots) = (options.heat_maps, &options.slots);
-    let heat_maps = heat_maps::draw(most, &reduced.rows, &entries, profile, slots, &out).await?;
-    let options = options.clone();
-    let publishing = tokio::task::spawn_blocking(move || -> Result<_, RunError> {
-        let mut files = publish_run(
-            &options, &out, &entries, &measured, &costs, &reduced, &heat_maps,
-        )?;
-        files.extend(heat_maps.into_values());
-        Ok(Published {
-            cascade: measured.record().cloned(),
-            reduced,
-            files,
-        })
-    });
-    publishing.await.map_err(RunError::Finishing)?
-}
-
 /// An entry with its measurement.
 pub(crate) fn measured_video(entry: &Entry, measurement: Measurement) -> MeasuredVideo {
     MeasuredVideo {
@@ -487,82 +379,6 @@ pub(crate) fn unreadable(entry: &Entry) -> Measurement {
             entry.address()
         ),
     )
-}
-
-fn publish_run(
-    options: &ScoreOptions,
-    out: &OutDir,
-    entries: &[Entry],
-    measured: &Journals,
-    costs: &[CostRow],
-    reduced: &Reduced,
-    heat_maps: &HeatMaps,
-) -> Result<Vec<String>, RunError> {
-    let parameters = serde_json::to_value(&options.profile).map_err(RunError::Profile)?;
-    let corpus = CorpusFile {
-        plumbline_version: env!("CARGO_PKG_VERSION").to_owned(),
-        source: options.sources.clone(),
-        profile: Some(ProfileRecord {
-            name: Some(options.profile.name()),
-            digest: options.reduce.profile_digest.clone(),
-            parameters,
-        }),
-        conditioning_frames: Some(options.profile.conditioning_frames),
-        fault_calibration: options.fault_calibration.clone(),
-        cascade: measured.record().cloned(),
-        statistics: reduced.statistics.clone(),
-    };
-    let locations: Vec<String> = entries.iter().map(Entry::address).collect();
-    let thumbnails = |video: &VideoId| measured.thumbnails(video);
-    let state = ReportState {
-        options: options.told(),
-        reference: options
-            .reduce
-            .reference
-            .as_deref()
-            .map(Reference::frozen)
-            .cloned(),
-    };
-    state.write(&OutDir::create(out.root().join(STATE_DIRECTORY))?)?;
-    let (beside, mut files) = beside::write(out, &reduced.rows, &thumbnails)?;
-    let entry_of: HashMap<&VideoId, &Entry> =
-        entries.iter().map(|entry| (&entry.video, entry)).collect();
-    let viewpoint = Viewpoint::of(&options.out.to_string_lossy());
-    let report = report::render(&ReportInput {
-        title: &options.sources.join(", "),
-        corpus: &corpus,
-        rows: &reduced.rows,
-        thumbnails: &thumbnails,
-        heat_maps,
-        beside: &beside,
-        player: &|video| viewpoint.address(&entry_of.get(video)?.location),
-        reference: state.reference.as_ref(),
-        costs: Some(CostSummary::of(costs)),
-        options: &state.options,
-        ranked: DEFAULT_RANKED,
-    });
-    let publication = Publication {
-        rows: &reduced.rows,
-        locations: &locations,
-        costs,
-        rewards: &reduced.rewards,
-        report_html: Some(&report),
-        corpus: &corpus,
-    };
-    files.extend(publish::publish(out, &publication, &options.formats)?);
-    Ok(files)
-}
-
-/// The frozen list beside the journal, for a person who asks what a run was about.
-pub(crate) fn write_frozen(state: &OutDir, entries: &[Entry]) -> Result<(), RunError> {
-    state.put_atomic_with(FROZEN_FILE, |writer| {
-        for entry in entries {
-            serde_json::to_writer(&mut *writer, entry)?;
-            writer.write_all(b"\n")?;
-        }
-        Ok(())
-    })?;
-    Ok(())
 }
 
 fn tell_ignored(ignored: &Ignored) {
