@@ -12,7 +12,7 @@ mod histogram;
 mod scatter;
 
 pub(super) use bars::{Bar, bars};
-pub(super) use frames::{FrameLine, FramePanel, Size, frames};
+pub(super) use frames::{FrameLine, FramePanel, Mark, Size, frames};
 pub(crate) use fronts::fronts;
 pub(super) use histogram::{Histogram, Outline, histogram};
 pub(super) use scatter::{Point, marker, scatter};

@@ -2,7 +2,7 @@
 
 use plumbline_common::row::Measurement;
 
-use super::chart::{FrameLine, FramePanel, Ink, Size, frames};
+use super::chart::{FrameLine, FramePanel, Ink, Mark, Size, frames};
 use super::text;
 
 /// Faults marked in a chart, the most severe first; the page lists them all.
@@ -74,14 +74,14 @@ fn line(
 }
 
 /// The paper's t*.
-fn peak(measured: &Measurement) -> Option<(u32, String, Ink)> {
+fn peak(measured: &Measurement) -> Option<Mark> {
     let frame = measured.paper_peak_frame?;
     let faint = measured.peak_reliable == Some(false);
     let name = if faint { "t* (faint) =" } else { "t* =" };
     Some((frame, name.to_owned(), Ink::Text))
 }
 
-fn faults(measured: &Measurement, most: usize) -> Vec<(u32, String, Ink)> {
+fn faults(measured: &Measurement, most: usize) -> Vec<Mark> {
     let (frames, kinds) = (
         measured.fault_frames.iter().flatten(),
         measured.fault_kinds.iter().flatten(),

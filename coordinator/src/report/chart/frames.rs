@@ -28,9 +28,11 @@ pub(in crate::report) struct FramePanel {
     pub(in crate::report) title: String,
     /// Lines over one axis.
     pub(in crate::report) lines: Vec<FrameLine>,
-    /// Marked frames with the name of the mark.
-    pub(in crate::report) marks: Vec<(u32, String, Ink)>,
+    pub(in crate::report) marks: Vec<Mark>,
 }
+
+/// A marked frame with the name of the mark.
+pub(in crate::report) type Mark = (u32, String, Ink);
 
 /// One value per frame, from `first` on.
 pub(in crate::report) struct FrameLine {
@@ -93,9 +95,15 @@ fn draw(area: &Area<'_>, panel: &FramePanel, last: u32, size: Size) -> Result<()
         upright: false,
     }
     .draw(&mut chart)?;
-    for (frame, _, ink) in &panel.marks {
-        let at = f64::from(*frame);
-        let line = PathElement::new([(at, 0.0), (at, y.hi)], ink.number().stroke_width(2));
+    for (index, (frame, _, ink)) in panel.marks.iter().enumerate() {
+        // Marks of one frame share its height, so that none covers another.
+        let of_frame = |marks: &[Mark]| marks.iter().filter(|mark| mark.0 == *frame).count();
+        let part = y.hi / of_frame(&panel.marks) as f64;
+        let (at, low) = (
+            f64::from(*frame),
+            part * of_frame(&panel.marks[..index]) as f64,
+        );
+        let line = PathElement::new([(at, low), (at, low + part)], ink.number().stroke_width(2));
         chart.draw_series([line]).map_err(DrawError::new)?;
     }
     for line in &panel.lines {
@@ -205,5 +213,23 @@ mod tests {
             chart.contains("t* = 3") && chart.contains("var(--mark)") && chart.contains("e_t, px")
         );
         assert_eq!(frames(&[], 9, Size::Large, ""), None);
+    }
+
+    #[test]
+    fn marks_of_one_frame_share_its_height() {
+        let panel = FramePanel {
+            title: String::new(),
+            lines: vec![line(vec![Some(1.0), Some(2.0)])],
+            marks: vec![(3, String::new(), Ink::Mark), (3, String::new(), Ink::Text)],
+        };
+        let chart = frames(&[panel], 9, Size::Small, "").unwrap();
+        let ends_of = |ink: &str| -> Vec<&str> {
+            let element = chart.split('<').rfind(|element| element.contains(ink));
+            let points = element.unwrap().split("points=\"").nth(1).unwrap();
+            points.split(['"', ' ']).take(2).collect()
+        };
+        let (lower, upper) = (ends_of("var(--mark)"), ends_of("var(--ink)"));
+        assert_eq!(lower[1], upper[0]);
+        assert_ne!(lower[0], upper[1]);
     }
 }
