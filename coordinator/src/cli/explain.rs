@@ -9,6 +9,7 @@ use super::summary::printable;
 use super::{Failure, exit, print_text};
 use crate::explain::{self, ExplainOptions, Explained, OneVideo, RunError};
 use crate::progress::say;
+use crate::publish::PublishError;
 
 /// The video of a command on one.
 #[derive(Debug, Args)]
@@ -88,7 +89,8 @@ pub(super) fn failure(error: &RunError) -> Failure {
             | RunError::NoSuchVideo { .. }
             | RunError::OutInUse { .. }
             | RunError::ScoresThere { .. }
-            | RunError::Profile(_) => exit::USAGE,
+            | RunError::Profile(_)
+            | RunError::Publish(PublishError::InTheWay { .. }) => exit::USAGE,
             _ => exit::STOPPED,
         },
         message: error.to_string(),

@@ -8,7 +8,7 @@ use plumbline_common::id::RunId;
 use plumbline_common::queue::{Broker, JobKind, Queue, QueueError};
 use serde_json::{Value, json};
 
-use super::queue::connect;
+use super::queue::connect_briefly;
 use super::summary::printable;
 use super::{Failure, exit, print_line, queue_failure};
 use crate::fleet::letters::{self, Letter};
@@ -70,19 +70,19 @@ pub(super) fn run(args: FleetArgs) -> Result<u8, Failure> {
     let done = runtime.block_on(async {
         match args.action {
             Action::Status(which) => {
-                let broker = connect(which.place.queue.as_deref()).await?;
+                let broker = connect_briefly(which.place.queue.as_deref()).await?;
                 status(broker.as_ref(), which.run.as_ref(), which.place.json).await
             }
             Action::Cancel(one) => {
-                let broker = connect(one.place.queue.as_deref()).await?;
+                let broker = connect_briefly(one.place.queue.as_deref()).await?;
                 cancel(broker.as_ref(), &one.run, one.place.json).await
             }
             Action::Dead(which) => {
-                let broker = connect(which.place.queue.as_deref()).await?;
+                let broker = connect_briefly(which.place.queue.as_deref()).await?;
                 dead(broker.as_ref(), which.run.as_ref(), which.place.json).await
             }
             Action::Retry(which) => {
-                let broker = connect(which.place.queue.as_deref()).await?;
+                let broker = connect_briefly(which.place.queue.as_deref()).await?;
                 retry(&broker, which.run.as_ref(), which.place.json).await
             }
         }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
-use plumbline_common::queue::{AmqpBroker, Broker};
+use plumbline_common::queue::{AmqpBroker, AmqpOptions, Broker};
 use plumbline_worker::settings::Settings;
 use tokio::time::timeout;
 
@@ -49,25 +49,40 @@ impl BrokerArgs {
 
     /// Connects to it.
     pub(super) async fn connect(&self) -> Result<Arc<dyn Broker>, Failure> {
-        connect(self.queue.as_deref().filter(|url| !url.is_empty())).await
+        let typed = self.queue.as_deref().filter(|url| !url.is_empty());
+        connect(typed, AmqpOptions::default().backoff.attempts).await
     }
 }
 
+/// Attempts to reach a broker while a person waits for a word about it: some ten seconds.
+const FEW_ATTEMPTS: u32 = 7;
+
+/// Connects for a question about the fleet, which can be asked again.
+pub(super) async fn connect_briefly(typed: Option<&str>) -> Result<Arc<dyn Broker>, Failure> {
+    connect(typed, FEW_ATTEMPTS).await
+}
+
 /// Connects to the broker that was typed, or else to that of the settings.
-pub(super) async fn connect(typed: Option<&str>) -> Result<Arc<dyn Broker>, Failure> {
+async fn connect(typed: Option<&str>, attempts: u32) -> Result<Arc<dyn Broker>, Failure> {
     let settings = Settings::load().map_err(Failure::usage)?.queue;
     let Some(url) = typed.or(settings.url.as_deref()) else {
         return Err(Failure::usage(
             "the broker's address is missing: --queue amqp://USER:PASSWORD@HOST:PORT/VHOST, or PLUMBLINE_QUEUE__URL",
         ));
     };
-    let mut connecting = pin!(AmqpBroker::connect(url, settings.amqp_options()));
+    let mut options = settings.amqp_options();
+    options.backoff.attempts = attempts;
+    let mut connecting = pin!(AmqpBroker::connect(url, options));
     let broker = match timeout(SILENCE, &mut connecting).await {
         Ok(broker) => broker,
         Err(_elapsed) => {
-            say(
-                "the broker does not answer yet; trying for some minutes: check that it runs, and its address (--log info says more)",
-            );
+            let some_time = match attempts {
+                ..=FEW_ATTEMPTS => "seconds",
+                _ => "minutes",
+            };
+            say(&format!(
+                "the broker does not answer yet; trying for some {some_time}: check that it runs, and its address (--log info says more)"
+            ));
             connecting.await
         }
     };

@@ -18,6 +18,7 @@ use super::{Failure, exit, print_json, summary};
 use crate::cascade::budget::Budget;
 use crate::corpus::{Choice, CorpusError, GroupBy};
 use crate::metrics::Metrics;
+use crate::publish::PublishError;
 use crate::reduce::outcome::NormaliseWithin;
 use crate::report::state::told_command;
 use crate::run::{self, CascadeOptions, RunError, ScoreOptions};
@@ -118,7 +119,8 @@ pub(super) fn run(args: ScoreArgs) -> Result<u8, Failure> {
                 | RunError::OutInUse { .. }
                 | RunError::RunInUse { .. }
                 | RunError::Name(_)
-                | RunError::Profile(_) => exit::USAGE,
+                | RunError::Profile(_)
+                | RunError::Publish(PublishError::InTheWay { .. }) => exit::USAGE,
                 _ => exit::STOPPED,
             },
             message: error.to_string(),
