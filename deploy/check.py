@@ -35,6 +35,9 @@ def options(arguments):
 
 # A job may take a fetch and two processes, each as long as the deadline allows (worker/src/cli.rs).
 consumer_timeout_s = int(re.search(r"^consumer_timeout = (\d+)", (deploy / "rabbitmq.conf").read_text(), re.M)[1]) / 1000
+slot = (deploy.parent / "worker/src/child/slot.rs").read_text()
+learned_deadline_s = float(re.search(r"learned_deadline_s: ([0-9_.]+),", slot)[1].replace("_", ""))
+must("the broker waits longer than a job of learned networks may take", consumer_timeout_s > 3 * learned_deadline_s)
 
 worker = yaml.safe_load((deploy / "kubernetes/worker.yaml").read_text())
 pod = worker["spec"]["template"]["spec"]

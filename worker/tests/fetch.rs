@@ -12,6 +12,7 @@ mod support;
 use std::fs;
 use std::ops::ControlFlow;
 use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
 
 use plumbline_common::message::{self, Job, Location, ObjectLocation, Part, PartLocation, Whole};
 use plumbline_common::row::Measurement;
@@ -79,6 +80,30 @@ async fn an_object_and_a_file_of_the_same_bytes_give_the_same_bytes() {
     assert!(!scratch[0].exists());
 }
 
+/// The job of the frames between two times of the file that `job` names, where it lies or as an object.
+fn episode(job: &Job, whole: Whole, [from_ns, to_ns]: [i64; 2]) -> Job {
+    let part = Part::Interval { from_ns, to_ns };
+    Job {
+        location: Location::Part(PartLocation { whole, part }),
+        ..job.clone()
+    }
+}
+
+/// An object in the version that lies in `root`.
+async fn object(root: &Path, key: &str) -> ObjectLocation {
+    let meta = DirStore::new(root)
+        .head(&ObjectKey::new(key).unwrap())
+        .await;
+    ObjectLocation {
+        bucket: BUCKET.to_owned(),
+        key: key.to_owned(),
+        etag: meta.unwrap().etag,
+        modified_s: None,
+    }
+}
+
+const HALVES_NS: [[i64; 2]; 2] = [[0, 400_000_000], [400_000_000, 800_000_000]];
+
 /// Job by job the same rows as of the file where it lies.
 #[tokio::test]
 async fn a_file_of_many_episodes_is_fetched_once() {
@@ -87,48 +112,46 @@ async fn a_file_of_many_episodes_is_fetched_once() {
     clip(&path);
     let fetcher = fetcher(dir.path(), &dir.path().join("scratch")).await;
     let mut slot = slot(&fetcher);
-    let whole = file_job("a", &path);
-    let object = |etag: Option<&str>| ObjectLocation {
-        bucket: BUCKET.to_owned(),
-        key: "a.mp4".to_owned(),
-        etag: etag.map(str::to_owned),
-        modified_s: None,
-    };
-    let episode = |whole_file: Whole, from_ns, to_ns| Job {
-        location: Location::Part(PartLocation {
-            whole: whole_file,
-            part: Part::Interval { from_ns, to_ns },
-        }),
-        ..whole.clone()
-    };
-    let etag = DirStore::new(dir.path())
-        .head(&ObjectKey::new("a.mp4").unwrap())
-        .await
-        .unwrap()
-        .etag;
+    let job = file_job("a", &path);
+    let mut measured = async |job: &Job| slot.measure(job).await.unwrap().outcome.measurement;
+    let marked = object(dir.path(), "a.mp4").await;
     let mut fetched = Vec::new();
-    for (from_ns, to_ns) in [(0, 400_000_000), (400_000_000, 800_000_000)] {
-        let of_object = |etag| episode(Whole::Object(object(etag)), from_ns, to_ns);
-        let of_file = episode(
-            Whole::File(path.as_os_str().as_bytes().to_vec()),
-            from_ns,
-            to_ns,
-        );
-        let job = of_object(etag.as_deref());
-        let here = fetcher.fetch(&job).await.unwrap();
-        fetched.push(here.bytes);
-        let of_object = slot.measure(&job).await.unwrap().outcome.measurement;
+    for half in HALVES_NS {
+        let of_object = episode(&job, Whole::Object(marked.clone()), half);
+        fetched.push(fetcher.fetch(&of_object).await.unwrap().bytes);
+        let of_object = measured(&of_object).await;
         assert!(of_object.frames.is_some(), "{of_object:?}");
-        assert_eq!(
-            of_object,
-            slot.measure(&of_file).await.unwrap().outcome.measurement
-        );
+        let lying = Whole::File(path.as_os_str().as_bytes().to_vec());
+        assert_eq!(of_object, measured(&episode(&job, lying, half)).await);
     }
-    assert_eq!(fetched, [whole.bytes, 0]);
-    let unmarked = episode(Whole::Object(object(None)), 0, 400_000_000);
+    assert_eq!(fetched, [job.bytes, 0]);
+    // What may have changed unseen is fetched each time.
+    let unmarked = ObjectLocation {
+        etag: None,
+        ..marked
+    };
+    let unmarked = episode(&job, Whole::Object(unmarked), HALVES_NS[0]);
     for _ in 0..2 {
-        assert_eq!(fetcher.fetch(&unmarked).await.unwrap().bytes, whole.bytes);
+        assert_eq!(fetcher.fetch(&unmarked).await.unwrap().bytes, job.bytes);
     }
+}
+
+#[tokio::test]
+async fn what_is_kept_makes_room_for_what_is_needed() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, scratch) = (dir.path().join("a.mp4"), dir.path().join("scratch"));
+    clip(&path);
+    let job = file_job("a", &path);
+    let fetcher = fetcher(dir.path(), &scratch).await;
+    let whole = Whole::Object(object(dir.path(), "a.mp4").await);
+    let [kept, again] = HALVES_NS.map(|half| episode(&job, whole.clone(), half));
+    fetcher.fetch(&kept).await.unwrap();
+    let own = fs::read_dir(&scratch).unwrap().next().unwrap().unwrap();
+    // The next copy cannot be written, as on a full disk; the one after it can.
+    fs::write(own.path().join("1"), "").unwrap();
+    fetcher.fetch(&as_object(&job, "a.mp4")).await.unwrap();
+    assert!(!own.path().join("0").exists());
+    assert_eq!(fetcher.fetch(&again).await.unwrap().bytes, job.bytes);
 }
 
 #[tokio::test]

@@ -50,20 +50,20 @@ pub(super) struct Columns {
 /// Which carried columns a part has, in its order, and what is in them.
 pub(super) type CarriedSeen = Vec<(String, Seen)>;
 
-/// Names of our own columns.
-pub(super) fn own_columns() -> Vec<(String, Kind)> {
+/// Our own columns. Those of a cascade are not among them: its profiles' rows share no statistics here.
+fn own_columns() -> Vec<(String, Kind)> {
     score_columns(&[])
         .into_iter()
         .map(|column| (column.name, column.kind))
         .collect()
 }
 
-/// What a Parquet part carries.
-pub(super) fn carried_of(schema: &Schema, own: &[(String, Kind)]) -> CarriedSeen {
+/// What a Parquet part carries, where `own` are the names that are ours.
+pub(super) fn carried_of(schema: &Schema, own: &[String]) -> CarriedSeen {
     schema
         .fields()
         .iter()
-        .filter(|field| own.iter().all(|(name, _)| name != field.name()))
+        .filter(|field| !own.contains(field.name()))
         .map(|field| (field.name().clone(), seen(field.data_type())))
         .collect()
 }

@@ -9,13 +9,14 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
-use super::columns::{CarriedSeen, Columns, carried_of, own_columns};
+use super::columns::{CarriedSeen, Columns, carried_of};
 use super::error::ReduceFilesError;
 use super::table::Table;
 use super::table_file::{BATCH_ROWS, TableFile};
 use crate::publish::encode::Format;
 use crate::publish::encode::batches::BatchWriter;
 use crate::publish::encode::to_batch;
+use crate::publish::scores::own_names;
 use crate::publish::table::{CarriedColumn, Column, Seen};
 
 /// Files that a directory is searched for first: a run's own table.
@@ -73,7 +74,7 @@ pub(super) fn open(
     files: &[PathBuf],
     scratch: &Path,
 ) -> Result<(Vec<Table>, Columns), ReduceFilesError> {
-    let own = own_columns();
+    let own = own_names();
     let mut tables = Vec::new();
     let mut texts = Vec::new();
     let mut carried: Vec<CarriedSeen> = Vec::new();
@@ -146,7 +147,7 @@ fn lines(
 fn look_through(
     path: &Path,
     name: &str,
-    own: &[(String, crate::publish::table::Kind)],
+    own: &[String],
 ) -> Result<(u64, CarriedSeen), ReduceFilesError> {
     let mut rows = 0;
     let mut carried: CarriedSeen = Vec::new();
@@ -157,7 +158,7 @@ fn look_through(
         }
         rows += 1;
         for (key, value) in &row {
-            if own.iter().any(|(name, _)| name == key) {
+            if own.contains(key) {
                 continue;
             }
             match carried.iter_mut().find(|(name, _)| name == key) {

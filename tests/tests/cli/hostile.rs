@@ -24,17 +24,6 @@ fn an_empty_folder_and_a_wrong_path_are_usage_errors() {
     assert!(!place.path("out").exists());
 }
 
-#[test]
-fn a_file_in_the_place_of_the_output_is_a_usage_error_and_stays() {
-    let place = Place::with_clips(1);
-    std::fs::write(place.path("out"), "mine").unwrap();
-    place
-        .run("out", &[])
-        .expect_code(2)
-        .expect_line(&["out in its place", "choose another --out"]);
-    assert_eq!(std::fs::read(place.path("out")).unwrap(), b"mine");
-}
-
 /// Broken and misleading files among good ones. Nothing in them is followed: no connection is made.
 #[test]
 fn broken_videos_become_typed_rows_with_reasons() {

@@ -92,11 +92,12 @@ fn an_out_that_cannot_be_written_is_named() {
         .expect_code(1)
         .expect_line(&["closed/out", "writable", "choose another --out"]);
 
-    std::fs::write(place.path("file"), "").unwrap();
+    std::fs::write(place.path("file"), "mine").unwrap();
     place
         .run("file", &[])
-        .expect_code(1)
+        .expect_code(2)
         .expect_line(&["file", "choose another --out"]);
+    assert_eq!(std::fs::read(place.path("file")).unwrap(), b"mine");
 }
 
 /// The run is done when its summary is printed: what is lost is the print, not the results.

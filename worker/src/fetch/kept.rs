@@ -2,7 +2,7 @@
 //! fetch the whole of it.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use plumbline_common::message::ObjectLocation;
 use tempfile::TempPath;
@@ -37,8 +37,18 @@ impl Kept {
         Ok((copy, was_fetched))
     }
 
+    /// Keeps nothing any more, to make room; whether anything was kept.
+    pub(super) fn let_go(&self) -> bool {
+        let copies = std::mem::take(&mut *self.lock());
+        copies.iter().any(|(_, copy)| copy.initialized())
+    }
+
+    fn lock(&self) -> MutexGuard<'_, VecDeque<(ObjectLocation, Copy)>> {
+        self.copies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn cell(&self, object: &ObjectLocation) -> Copy {
-        let mut copies = self.copies.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut copies = self.lock();
         let known = copies.iter().position(|(kept, _)| kept == object);
         let known = known.and_then(|index| copies.remove(index));
         let copy = known.map_or_else(Copy::default, |(_, copy)| copy);
@@ -93,6 +103,10 @@ mod tests {
         drop(first);
         assert!(!path.exists());
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), MAX_KEPT);
+        // For room all of them go, and there is no more to give.
+        assert!(kept.let_go());
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+        assert!(!kept.let_go());
     }
 
     #[tokio::test]

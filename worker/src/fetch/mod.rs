@@ -282,15 +282,24 @@ impl Fetcher {
             .shared
             .scratch
             .get_or_try_init(|| Scratch::below(parent));
-        let path = scratch.await.map_err(failed)?.new_path().map_err(failed)?;
+        let scratch = scratch.await.map_err(failed)?;
         let bytes = range.end - range.start;
-        let copied = if end_bytes < bytes.div_ceil(2) {
-            fetch_ends_to_file(&*store, &meta, range, end_bytes, &path).await
-        } else {
-            fetch_range_to_file(&*store, &meta, range, limits.max_bytes, &path).await
+        let attempt = async || {
+            let path = scratch.new_path()?;
+            let range = range.clone();
+            if end_bytes < bytes.div_ceil(2) {
+                fetch_ends_to_file(&*store, &meta, range, end_bytes, &path).await?;
+            } else {
+                fetch_range_to_file(&*store, &meta, range, limits.max_bytes, &path).await?;
+            }
+            Ok(path)
         };
-        copied.map_err(failed)?;
-        Ok(path)
+        let copied = match attempt().await {
+            // What is only kept must not be in the way of what is needed.
+            Err(StoreError::LocalFile { .. }) if self.shared.kept.let_go() => attempt().await,
+            copied => copied,
+        };
+        copied.map_err(failed)
     }
 
     async fn store(&self, bucket: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {

@@ -40,6 +40,28 @@ fn what_is_wrong_is_named() {
     assert!(refusal(&options(&[&own], dir.path(), &o)).contains("choose another --out"));
 }
 
+/// What a cascade said of its rows is no longer true of them, and nobody's column.
+#[test]
+fn columns_of_a_cascade_are_not_carried() {
+    let dir = tempfile::tempdir().unwrap();
+    let rows = dir.path().join("rows.jsonl");
+    let row = |video: &str| {
+        let row = json!({"video": video, "reproj_px": 1.0, "rung": "accurate", "flip_probability": 0.0, "seed": 7});
+        row.to_string()
+    };
+    write_part(&rows, &[row("a"), row("b")]);
+    let out = dir.path().join("out");
+    reduce_files(&options(
+        &[&rows],
+        &out,
+        &reduce_options(Recipe::Paper, "40%"),
+    ))
+    .unwrap();
+    let scores = read(&out, "scores.jsonl");
+    assert!(scores.contains("\"seed\":7"));
+    assert!(!scores.contains("rung") && !scores.contains("flip_probability"));
+}
+
 /// Foreign rows: only names and measures, single precision, a NaN, groups by a column.
 #[test]
 fn foreign_parquet_is_read_by_name() {
