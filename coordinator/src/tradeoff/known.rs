@@ -85,6 +85,7 @@ pub(super) async fn known(
             return Ok(known);
         }
     }
+    say(&format!("{}: clips whose truth is known", point.name));
     let known = Known {
         truth: truth::errors(rendered, &profile, options).await?,
         faults: injected::find(&rendered.with_faults, &profile, options).await?,
