@@ -11,6 +11,7 @@ pub mod explain;
 pub mod fanout;
 pub mod fleet;
 mod heat_maps;
+pub mod in_parallel;
 pub mod judge;
 mod keep;
 mod lease;

@@ -10,8 +10,7 @@
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc;
+use std::sync::Mutex;
 
 use plumbline_sample::SampleError;
 use plumbline_sample::corpus::ClipSpec;
@@ -19,6 +18,7 @@ use plumbline_sample::truth::FrameTruth;
 use plumbline_vision::image::Rgb8;
 use plumbline_worker::encode::{EncodeError, Mp4Writer};
 
+use crate::in_parallel::{BrokenThread, in_parallel};
 use crate::npz::Npz;
 
 /// How much truth is written.
@@ -49,6 +49,9 @@ pub enum WriteSampleError {
         /// Why.
         source: EncodeError,
     },
+    /// A defect of the program.
+    #[error(transparent)]
+    Thread(#[from] BrokenThread),
     /// The disk said no.
     #[error("{path}: {source}; make room or choose another --out")]
     Io {
@@ -107,28 +110,16 @@ impl SampleDir {
         &self,
         clips: &[ClipSpec],
         truth: Truth,
-        mut on_written: impl FnMut(),
+        on_written: impl FnMut() + Send,
     ) -> Result<(), WriteSampleError> {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let next = AtomicUsize::new(0);
-        let (told, results) = mpsc::channel();
-        std::thread::scope(|scope| {
-            for _ in 0..cores.min(clips.len()) {
-                let (told, next) = (told.clone(), &next);
-                scope.spawn(move || {
-                    while let Some(clip) = clips.get(next.fetch_add(1, Ordering::Relaxed))
-                        && told.send(self.write_clip(clip, truth)).is_ok()
-                    {}
-                });
-            }
-            drop(told);
-            // Nobody listens after the first error, which ends the threads.
-            results.into_iter().try_for_each(|result| {
-                result?;
-                on_written();
-                Ok(())
-            })
-        })
+        let on_written = Mutex::new(on_written);
+        let write = |(): &mut (), clip| {
+            self.write_clip(clip, truth)?;
+            on_written.lock().map_err(|_| BrokenThread)?();
+            Ok(())
+        };
+        in_parallel(clips.iter().collect(), cores, || (), write, |()| Ok(()))
     }
 
     fn write_clip(&self, clip: &ClipSpec, truth: Truth) -> Result<(), WriteSampleError> {

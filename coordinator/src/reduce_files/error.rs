@@ -2,6 +2,7 @@
 
 use std::io;
 
+use crate::in_parallel::BrokenThread;
 use crate::publish::PublishError;
 use crate::publish::encode::EncodeError;
 
@@ -87,6 +88,12 @@ pub enum ReduceFilesError {
     /// A defect of the program.
     #[error("a thread of the reduce broke down, which is a defect to report")]
     Thread,
+}
+
+impl From<BrokenThread> for ReduceFilesError {
+    fn from(_: BrokenThread) -> Self {
+        Self::Thread
+    }
 }
 
 impl ReduceFilesError {

@@ -15,11 +15,11 @@ use plumbline_common::row::Status;
 use super::columns::Columns;
 use super::error::ReduceFilesError;
 use super::float_file::FloatFile;
-use super::in_parallel::in_parallel;
 use super::rows::{check, groups, texts, videos};
 use super::table::Table;
 use super::table_file::BATCH_ROWS;
 use crate::corpus::GroupBy;
+use crate::in_parallel::in_parallel;
 use crate::reduce::recipe::{BySignal, Signal};
 use crate::reduce::reject::CHECKED_COLUMNS;
 
@@ -131,7 +131,7 @@ pub(super) fn take_in(
     let shared = Mutex::new(Shared::default());
     // Set where nothing is left to find: rows that are not in order are taken in again, sorted.
     let unordered = AtomicBool::new(false);
-    in_parallel(
+    in_parallel::<_, _, ReduceFilesError>(
         work,
         threads,
         || (),

@@ -11,7 +11,6 @@ mod columns;
 pub mod error;
 mod float_file;
 pub mod freeze;
-mod in_parallel;
 mod intake;
 mod names;
 mod output;
@@ -35,6 +34,7 @@ use std::sync::Mutex;
 use arrow_array::Array;
 
 use crate::corpus::GroupBy;
+use crate::in_parallel::in_parallel;
 use crate::lease::Lease;
 use crate::publish::corpus::corpus_json;
 use crate::publish::{self, CORPUS_FILE, CorpusFile, Format, OutDir, ProfileRecord, REPORT_FILE};
@@ -48,7 +48,6 @@ use crate::run::STATE_DIRECTORY;
 use columns::Columns;
 pub use error::ReduceFilesError;
 use float_file::shares;
-use in_parallel::in_parallel;
 use intake::{Intake, Taken, take_in};
 use output::Completion;
 pub(crate) use parts::files;
@@ -301,7 +300,7 @@ fn left_out(
             Ok(())
         })
     };
-    in_parallel(
+    in_parallel::<_, _, ReduceFilesError>(
         shares(intake.rows, threads),
         threads,
         || (),

@@ -19,11 +19,11 @@ use arrow_select::take::take_record_batch;
 
 use super::columns::Columns;
 use super::error::ReduceFilesError;
-use super::in_parallel::in_parallel;
 use super::names;
 use super::rows::videos;
 use super::table::{Batches, Table};
 use super::table_file::{BATCH_ROWS, ReadAt};
+use crate::in_parallel::in_parallel;
 
 /// Names drawn for each bucket: the rows of a bucket are then as many as meant within some tenths.
 const DRAWN_PER_BUCKET: u64 = 128;
@@ -85,7 +85,7 @@ pub(super) fn sorted(
         written: &written,
         piece_bytes: 2 * bucket_bytes,
     };
-    in_parallel(
+    in_parallel::<_, _, ReduceFilesError>(
         groups,
         threads,
         Held::default,
@@ -169,7 +169,7 @@ fn splitters(
 ) -> Result<Vec<String>, ReduceFilesError> {
     let step = (rows / (buckets * DRAWN_PER_BUCKET)).max(1);
     let drawn = Mutex::new(Vec::new());
-    in_parallel(
+    in_parallel::<_, _, ReduceFilesError>(
         groups.iter().collect(),
         threads,
         Vec::new,
@@ -305,7 +305,7 @@ impl Sorted {
     fn find_orders(&self, threads: usize) -> Result<(), ReduceFilesError> {
         // The lowest one, whichever is found first.
         let twice: Mutex<Option<String>> = Mutex::new(None);
-        in_parallel(
+        in_parallel::<_, _, ReduceFilesError>(
             self.buckets.iter().collect(),
             threads,
             || (),

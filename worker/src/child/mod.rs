@@ -13,9 +13,10 @@ mod sandbox;
 mod slot;
 
 pub use process::run;
+pub use running::Drawing;
 pub use sandbox::{Protection, probe};
 pub(crate) use slot::MAX_ATTEMPTS;
-pub use slot::{ComputeLimits, ComputeSlot, Drawing, Measured, SlotError};
+pub use slot::{ComputeLimits, ComputeSlot, Measured, SlotError};
 
 /// The hidden first argument that makes a Plumbline binary a compute child.
 pub const CHILD_ARGUMENT: &str = "compute-child";

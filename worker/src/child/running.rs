@@ -13,7 +13,6 @@ use tokio::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command};
 use tokio::task::JoinHandle;
 
 use super::protocol::Drawn;
-use super::slot::{Drawing, SlotError};
 use super::{CHILD_ARGUMENT, MEMORY_ARGUMENT};
 use crate::explain::Picture;
 
@@ -28,6 +27,17 @@ fn is_withheld(name: &OsStr) -> bool {
     own.iter().any(|start| name.starts_with(start)) || secret.iter().any(|part| name.contains(part))
 }
 
+/// How far a drawing came.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Drawing {
+    /// Every picture that there is was taken.
+    Whole,
+    /// Some are missing, for this reason.
+    Missing(String),
+    /// Whoever took them stopped.
+    Stopped,
+}
+
 /// One child with its pipes.
 #[derive(Debug)]
 pub(super) struct Running {
@@ -39,11 +49,7 @@ pub(super) struct Running {
 
 impl Running {
     /// Starts a child of `program`, a Plumbline binary.
-    pub(super) fn start(program: &Path, memory_mib: u64) -> Result<Self, SlotError> {
-        let spawn_error = |source| SlotError::Spawn {
-            program: program.to_path_buf(),
-            source,
-        };
+    pub(super) fn start(program: &Path, memory_mib: u64) -> std::io::Result<Self> {
         let passed_on = std::env::vars_os().filter(|(name, _)| !is_withheld(name));
         let mut child = Command::new(program)
             // Hostile bytes are decoded there, which need know no password; and a reason holds a panic's
@@ -64,9 +70,8 @@ impl Running {
             .kill_on_drop(true)
             // Ctrl-C goes to the whole foreground group; the parent alone decides what it means.
             .process_group(0)
-            .spawn()
-            .map_err(spawn_error)?;
-        let missing = || spawn_error(std::io::Error::other("a pipe is missing"));
+            .spawn()?;
+        let missing = || std::io::Error::other("a pipe is missing");
         let stdin = child.stdin.take().ok_or_else(missing)?;
         let stdout = child.stdout.take().ok_or_else(missing)?;
         let stderr = child.stderr.take().ok_or_else(missing)?;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 
 use super::protocol::{Ask, Request};
-use super::running::Running;
+use super::running::{Drawing, Running};
 use crate::explain::{DrawJob, Picture};
 use crate::fetch::{FetchError, FetchFailure, Fetched, Fetcher};
 use crate::measure::Detailed;
@@ -74,17 +74,6 @@ pub struct Measured {
     pub attempts: u32,
     /// Whether a child has answered: not where each died, or passed its deadline.
     pub answered: bool,
-}
-
-/// How far a drawing came.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Drawing {
-    /// Every picture that there is was taken.
-    Whole,
-    /// Some are missing, for this reason.
-    Missing(String),
-    /// Whoever took them stopped.
-    Stopped,
 }
 
 /// What ends the run, since no work can be done.
@@ -290,7 +279,7 @@ impl ComputeSlot {
         let request = encode(Ask::Draw(job.clone()), &fetched)?;
         let mut running = match self.running.take() {
             Some(running) => running,
-            None => Running::start(&self.program, self.limits.memory_mib)?,
+            None => self.start()?,
         };
         let deadline_s = self.limits.deadline_of(&fetched);
         match tokio::time::timeout(duration(deadline_s), running.draw(&request, take)).await {
@@ -316,6 +305,14 @@ impl ComputeSlot {
         }
     }
 
+    fn start(&self) -> Result<Running, SlotError> {
+        let started = Running::start(&self.program, self.limits.memory_mib);
+        started.map_err(|source| SlotError::Spawn {
+            program: self.program.clone(),
+            source,
+        })
+    }
+
     /// One request and its answer, or the reason for none, and the number of attempts.
     async fn ask<T: DeserializeOwned>(
         &mut self,
@@ -328,7 +325,7 @@ impl ComputeSlot {
         for attempts in 1..=MAX_ATTEMPTS {
             let mut running = match self.running.take() {
                 Some(running) => running,
-                None => Running::start(&self.program, self.limits.memory_mib)?,
+                None => self.start()?,
             };
             match tokio::time::timeout(duration(deadline_s), running.exchange(&request)).await {
                 Ok(Ok(answer)) => {

@@ -79,7 +79,7 @@ impl Fetched {
 
     /// The copy, where the job is an object.
     pub(crate) fn path(&self) -> Option<&Path> {
-        self.copy.as_ref().map(|copy| &***copy)
+        self.copy.as_deref().map(AsRef::as_ref)
     }
 }
 
